@@ -14,13 +14,14 @@ import yaml
 
 from stringcast.data import disk
 from stringcast.data.artifacts import ARM, GRASP, MASKS, POINTS, READINGS, Observation
-from stringcast.data.dataset import MIN_OVERLAP_S, with_trial
 from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.images import Video
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION
 from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
+from stringcast.data.table_files import with_trial
+from stringcast.data.trial_faults import MIN_OVERLAP_S
 from stringcast.stages.check.at_rest import (
     attach_arc_lengths,
     estimate_arc_lengths,

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from stringcast.data import disk
 from stringcast.data.artifacts import ARM, GRASP, POINTS
-from stringcast.data.dataset import with_trial
 from stringcast.data.metadata import DATASET_FILE
 from stringcast.data.schema import Table
 from stringcast.data.store import write_atomically
+from stringcast.data.table_files import with_trial
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import UserError

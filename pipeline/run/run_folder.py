@@ -26,6 +26,7 @@ from stringcast.data.errors import remedy_for
 from stringcast.data.file_checks import read_json
 from stringcast.data.images import RecentImages
 from stringcast.data.schema import DataError
+from stringcast.data.table_files import RUN_TABLES
 from stringcast.pipeline.cli.console import ProgressBar
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import (
@@ -167,7 +168,7 @@ class RunFolder:
         hashes = trial_hashes(self.folder, iterations, self.content_hash)
         try:
             holds_trials = True
-            for table in dataset.RUN_TABLES:
+            for table in RUN_TABLES:
                 origin = store.read_origin(self.folder / f"{table.name}.parquet")
                 holds_trials &= hashes.items() <= origin["inputs"].items()
         except (DataError, *store.READ_ERRORS, KeyError):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from stringcast.data.artifacts import ARM, GRASP, POINTS
-from stringcast.data.dataset import exclude_stray_points, with_trial
+from stringcast.data.dataset import exclude_stray_points
 from stringcast.data.metadata import (
     DATASET_FILE,
     ArmBlock,
@@ -21,6 +21,7 @@ from stringcast.data.metadata import (
     StringBlock,
     TrialBlock,
 )
+from stringcast.data.table_files import with_trial
 from stringcast.stages.check.consistency.check import (
     impossible_trials,
     unknown_arm_fields,

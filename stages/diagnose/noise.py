@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.data.dataset import MIN_FRAMES
+from stringcast.data.trial_faults import MIN_FRAMES
 from stringcast.stages.common import track_places
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,

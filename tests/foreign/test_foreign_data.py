@@ -19,10 +19,12 @@ import pytest
 import yaml
 from rich.console import Console
 
-from stringcast.data import dataset, file_checks, store
+from stringcast.data import dataset, file_checks, store, table_files
+from stringcast.data.artifacts import POINTS
 from stringcast.data.images import ImageFiles, Video
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
+from stringcast.data.table_files import with_trial
 from stringcast.pipeline.commands import check, index
 from stringcast.stages.check import clocks, contents
 from stringcast.stages.check.measured import CheckedDataset
@@ -274,7 +276,7 @@ def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
 
 
 def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
-    names = [f"t{k}" for k in range(dataset.MAX_TRIALS + 1)]
+    names = [f"t{k}" for k in range(table_files.MAX_TRIALS + 1)]
     many = pd.DataFrame({"trial": names, "t": 0.0, "x": 0.0, "y": 0.0, "theta": 0.0})
     given(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
     with pytest.raises(
@@ -511,9 +513,7 @@ def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
         tmp_path / "points.parquet"
     )
     assert (tmp_path / "points.parquet").stat().st_size < 2**18
-    frame = store.read_table(
-        dataset.with_trial(dataset.POINTS), tmp_path / "points.parquet"
-    )
+    frame = store.read_table(with_trial(POINTS), tmp_path / "points.parquet")
     assert len(frame) == 400
     # one copy for each batch that is read
     assert len({id(text) for text in frame["remark"]}) < 10

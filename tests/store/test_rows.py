@@ -7,10 +7,10 @@ import yaml
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, POINTS
-from stringcast.data.dataset import with_trial
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_table
+from stringcast.data.table_files import with_trial
 
 T = np.arange(40) * 0.01
 NOISE = np.random.default_rng(1).standard_normal((120, 2)) / 30

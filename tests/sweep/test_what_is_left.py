@@ -10,6 +10,7 @@ from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, FRAMES, LINK, POINTS, TICKS, Trial
 from stringcast.data.images import encode_png
 from stringcast.data.store import write_table, write_text
+from stringcast.data.table_files import with_trial
 from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.experiment import SAVEABLE_OUTPUTS, check_run_settings
 from stringcast.pipeline.run.iterations import Iteration
@@ -43,9 +44,7 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     }
     for table, columns in tables.items():
         frame = pd.DataFrame(columns).assign(trial="t01")
-        write_table(
-            dataset.with_trial(table), frame, tmp_path / f"{table.name}.parquet", {}
-        )
+        write_table(with_trial(table), frame, tmp_path / f"{table.name}.parquet", {})
     write_text(tmp_path / "dataset.yaml", "format: 1\nstring: {length: 0.3}\n")
     assert dataset.read_dataset(tmp_path).films
     names = [f"images/{i}.png" for i in range(3)]

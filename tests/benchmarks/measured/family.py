@@ -19,8 +19,9 @@ import yaml
 from pydantic import Field
 
 from stringcast.data import store
-from stringcast.data.dataset import GRASP, POINTS, with_trial
+from stringcast.data.artifacts import GRASP, POINTS
 from stringcast.data.schema import DataError
+from stringcast.data.table_files import with_trial
 
 # masses of each string and its tip, where they were weighed
 MASSES_FILE = "cables.json"

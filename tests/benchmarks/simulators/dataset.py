@@ -12,8 +12,9 @@ import pandas as pd
 import yaml
 
 from stringcast.data.artifacts import ARM, JOINTS, POINTS
-from stringcast.data.dataset import FORMAT_VERSION, with_trial
+from stringcast.data.metadata import FORMAT_VERSION
 from stringcast.data.store import write_table, write_text
+from stringcast.data.table_files import with_trial
 from tests.benchmarks.simulators.scene import Scene
 
 # effects of the library that are nuisances, by the simulator's setting

@@ -1,0 +1,117 @@
+"""Reasons why a trial of a dataset cannot be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from stringcast.data.artifacts import FRAMES, POINTS, Film, Observation
+from stringcast.data.metadata import DATASET_FILE
+from stringcast.data.rows import RowCounts
+from stringcast.data.schema import Table
+from stringcast.data.table_files import TRIAL_COLUMN
+
+UNIX_TIME_RANGE_S = (1e9, 4e9)  # [s]: 2001 to 2096
+MIN_OVERLAP_S = 0.1  # [s] that arm and camera must have in common
+MIN_FRAMES = 3  # in which the string was seen
+
+
+@dataclass(frozen=True)
+class TrialFault:
+    """The reason why a trial cannot be used.
+
+    file: dataset.yaml, or the name of the table with the fault. field: key or column
+    there.
+    """
+
+    reason: str
+    remedy: str
+    file: str
+    field: str
+
+
+def find_timeless_fault(
+    name: str, row_counts: Mapping[str, RowCounts]
+) -> TrialFault | None:
+    """Find times of a trial that say nothing of the single row; None if there are none.
+
+    row_counts: of the tables by file.
+    """
+    for file, counts in row_counts.items():
+        if name in counts.timeless:
+            return TrialFault(
+                counts.timeless[name],
+                "They may be stored as float32, or rounded: write them with more "
+                "digits, or give the rate of the rows: import --fps 200",
+                file.rpartition(".")[0],
+                "t",
+            )
+    return None
+
+
+def find_fault(
+    trial: Observation,
+    film: Film | None,
+    hand: Table,
+    block: Mapping[str, Any],
+    start: float,
+) -> TrialFault | None:
+    """Find out why a trial cannot be used; None if it can.
+
+    hand: schema of its motion. block: its entry in dataset.yaml. start: what was
+    subtracted from all its times [s].
+    """
+    if block.get("invalid"):
+        return TrialFault(
+            str(block["invalid"]),
+            f"Take 'invalid' out of {DATASET_FILE} if it should count",
+            DATASET_FILE,
+            f"trials.{trial.trial}.invalid",
+        )
+    motion = getattr(trial, hand.name)["t"].to_numpy()
+    if not len(motion):
+        return TrialFault(
+            "no motion of the hand",
+            "Add its rows to the arm's or the grasp's table, "
+            "or use the same name in both",
+            hand.name,
+            TRIAL_COLUMN.name,
+        )
+    seen, table = np.unique(trial.valid_points["t"]), POINTS.name
+    if not len(seen) and film is not None:
+        seen, table = film.t, FRAMES.name
+    elif not len(seen):
+        reason, column = "no measured point is valid", "valid"
+        remedy = "Look at 'valid' in its points: a blank is false"
+        if trial.points.empty:
+            reason, column = "no measured point and no frame", TRIAL_COLUMN.name
+            remedy = "Add its rows to points or frames, or use the same name in both"
+        return TrialFault(reason, remedy, table, column)
+    if len(seen) < MIN_FRAMES:
+        reason = f"the string was seen in {len(seen)} frame(s) only"
+        remedy = "A motion takes more frames: record it again"
+        return TrialFault(reason, remedy, table, "t")
+    overlap = min(motion.max(), seen.max()) - max(motion.min(), seen.min())
+    if overlap >= MIN_OVERLAP_S:
+        return None
+    return TrialFault(
+        f"arm and camera overlap for {max(overlap, 0):.2f} s only: the arm's clock "
+        f"{_clock_words(motion + start)}, the camera's {_clock_words(seen + start)}",
+        "See that both clocks begin together and that both count seconds; "
+        "`import` lays them over one another",
+        table,
+        "t",
+    )
+
+
+def _clock_words(t: np.ndarray) -> str:
+    """Describe the clock of times t (K,) [s]."""
+    first = t.min()
+    if UNIX_TIME_RANGE_S[0] < first < UNIX_TIME_RANGE_S[1]:
+        date = datetime.fromtimestamp(first, UTC)
+        return f"says {date:%Y-%m-%d %H:%M:%S} (seconds since 1970)"
+    return f"goes from {first:.2f} to {t.max():.2f} s"
