@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -132,28 +133,13 @@ def gather_tables(
         If something is missing or ambiguous.
     """
     _refuse_unknown_columns(recordings, hints)
-    used_columns: list[UsedColumn] = []
-    unused_columns = {}
-    motion_parts = []
-    point_parts = []
-    films = []
-    zero_rows: dict[Path, int] = {}
+    films = [recording for recording in recordings if recording.film is not None]
+    parts = []
     for recording in recordings:
-        if recording.film is not None:
-            films.append(recording)
-            continue
-        parts = _read_parts(recording, hints)
-        if parts.motion is not None:
-            motion_parts.append((recording, parts.motion))
-        if parts.points is not None:
-            point_parts.append((recording, parts.points))
-        if parts.zero_count:
-            count = zero_rows.get(recording.file, 0)
-            zero_rows[recording.file] = count + parts.zero_count
-        used_columns += parts.used_columns
-        used = {c.column for c in used_columns if c.file == recording.file}
-        unused = [name for name in recording.table if name not in used]
-        unused_columns[recording.file] = unused
+        if recording.film is None:
+            parts.append((recording, _read_parts(recording, hints)))
+    motion_parts = [(r, part.motion) for r, part in parts if part.motion is not None]
+    point_parts = [(r, part.points) for r, part in parts if part.points is not None]
     if not motion_parts:
         _refuse_incomplete(
             recordings,
@@ -169,8 +155,7 @@ def gather_tables(
     points = _join_parts(point_parts, names)
     film_of = {names[id(r)]: r.film for r in films if r.film is not None}
     fps = next((r.fps for r in films if r.fps), None)
-    # several trials of one file have the same columns
-    unique = {(c.file, c.column, c.role): c for c in used_columns}
+    used_columns, unused_columns = _list_used_columns(parts)
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
@@ -178,12 +163,40 @@ def gather_tables(
         motion=motion,
         points=points,
         films=film_of,
-        used_columns=list(unique.values()),
+        used_columns=used_columns,
         unused_columns=unused_columns,
         fps=fps,
         notes=notes,
-        zero_rows=zero_rows,
+        zero_rows=_count_zero_rows(parts),
     )
+
+
+def _list_used_columns(
+    parts: Sequence[tuple[SourceRecording, RecordingParts]],
+) -> tuple[list[UsedColumn], dict[Path, list[str]]]:
+    """List the columns that were used, and by file the names of those that were not.
+
+    Several trials of one file have the same columns.
+    """
+    used: dict[tuple[Path, str, str], UsedColumn] = {}
+    unused = {}
+    for recording, part in parts:
+        for column in part.used_columns:
+            used[column.file, column.column, column.role] = column
+        names = {name for file, name, _ in used if file == recording.file}
+        others = [str(name) for name in recording.table if name not in names]
+        unused[recording.file] = others
+    return list(used.values()), unused
+
+
+def _count_zero_rows(
+    parts: Sequence[tuple[SourceRecording, RecordingParts]],
+) -> dict[Path, int]:
+    """Count the rows of zeros among others in each file that has any."""
+    counts: Counter[Path] = Counter()
+    for recording, part in parts:
+        counts[recording.file] += part.zero_count
+    return {file: count for file, count in counts.items() if count}
 
 
 def _refuse_unknown_columns(

@@ -80,24 +80,9 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("its index is missing")
-    topics = []
-    descriptions = []
-    all_json = True
-    count = 0
-    for number, channel in summary.channels.items():
-        schema = summary.schemas.get(channel.schema_id)
-        kind = schema.name.rpartition("/")[2] if schema else ""
-        descriptions.append(f"{channel.topic} ({kind})")
-        is_json = channel.message_encoding == "json"
-        if kind in MESSAGE_TYPES or is_json:
-            topics.append(channel.topic)
-            count += summary.statistics.channel_message_counts.get(number, 0)
-            all_json = all_json and is_json
-    if not topics:
-        raise DataError(
-            f"{path}: no topic says where something is; there are "
-            f"{', '.join(descriptions)}. Record one of {', '.join(MESSAGE_TYPES)}."
-        )
+    channels = _position_channels(summary, path)
+    counts = summary.statistics.channel_message_counts
+    count = sum(counts.get(channel.id, 0) for channel in channels)
     is_huge = any(
         chunk.uncompressed_size > MAX_TABLE_BYTES for chunk in summary.chunk_indexes
     )
@@ -106,7 +91,8 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
             f"{path}: it has {count} messages, at most {MAX_MESSAGES} are read. "
             "Cut it: mcap filter."
         )
-    if all_json:
+    topics = [channel.topic for channel in channels]
+    if all(channel.message_encoding == "json" for channel in channels):
         for _, channel, message in reader.iter_messages(topics=topics):
             content = json.loads(message.data)
             yield channel.topic, _message_row(channel.topic, content, message.log_time)
@@ -117,6 +103,27 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
             topic,
             _message_row(topic, decoded.decoded_message, decoded.message.log_time),
         )
+
+
+def _position_channels(summary: Any, path: Path) -> list[Any]:
+    """List the channels whose messages may say where something is.
+
+    Raises DataError, with the topics that are there, if there is none.
+    """
+    channels = []
+    descriptions = []
+    for channel in summary.channels.values():
+        schema = summary.schemas.get(channel.schema_id)
+        kind = schema.name.rpartition("/")[2] if schema else ""
+        descriptions.append(f"{channel.topic} ({kind})")
+        if kind in MESSAGE_TYPES or channel.message_encoding == "json":
+            channels.append(channel)
+    if not channels:
+        raise DataError(
+            f"{path}: no topic says where something is; there are "
+            f"{', '.join(descriptions)}. Record one of {', '.join(MESSAGE_TYPES)}."
+        )
+    return channels
 
 
 def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
