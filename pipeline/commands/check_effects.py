@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.modes.stored_trials import held_out_trials, read_usable_trials
-from stringcast.pipeline.run.experiment import prepare_experiment
+from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
 from stringcast.stages.diagnose.preparation import prepare_data, usable_trials
@@ -52,19 +53,7 @@ def detectable_effects(
     """
     experiment = prepare_experiment(settings, lambda block: f"conf/{block}")
     options = experiment.config["diagnose"]
-    data = read_usable_trials(experiment)
-    held_out = held_out_trials(data)
-    search_trials = []
-    for name, trial in data.trials.items():
-        if name not in held_out:
-            search_trials.append(trim_at_contact(trial, experiment.obstacles))
-    trials, _ = usable_trials(experiment.model, search_trials)
-    if len(trials) < 2:
-        raise DataError(
-            f"{settings['trials']}: causes are sought in two trials or more. "
-            "Record more."
-        )
-
+    trials = search_trials(experiment)
     criteria = build_dataclass(
         Criteria, options["criteria"], "diagnose.criteria", "conf/diagnose"
     )
@@ -84,9 +73,7 @@ def detectable_effects(
             prepared.data.trials,
             options["excluded_effects"],
         )
-        candidates = [
-            effect for name, effect in library.items() if name not in not_tried
-        ]
+        candidates = [library[name] for name in library if name not in not_tried]
         limits = detection_limits(
             prepared,
             candidates,
@@ -99,6 +86,26 @@ def detectable_effects(
             not_tried[effect.name] = "no smallest size: it depends on the place"
     rows = [detection_row(limit) for limit in limits]
     return rows, dict(sorted(not_tried.items()))
+
+
+def search_trials(experiment: Experiment) -> list[Observation]:
+    """Return the trials in which a diagnosis would seek causes.
+
+    Raises DataError if they are fewer than two.
+    """
+    data = read_usable_trials(experiment)
+    held_out = held_out_trials(data)
+    given = []
+    for name, trial in data.trials.items():
+        if name not in held_out:
+            given.append(trim_at_contact(trial, experiment.obstacles))
+    trials, _ = usable_trials(experiment.model, given)
+    if len(trials) < 2:
+        raise DataError(
+            f"{experiment.config['trials']}: causes are sought in two trials or more. "
+            "Record more."
+        )
+    return trials
 
 
 def detection_row(limit: DetectionLimit) -> dict[str, Any]:
