@@ -23,6 +23,7 @@ from stringcast.pipeline.run.iterations import Executor, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings
+from stringcast.stages.report.formatting import format_count
 
 # Stages that this mode calls by name.
 ESTIMATION = "estimate"
@@ -77,11 +78,9 @@ class EstimateTrials(Stepwise):
             observations.append(
                 read_trial(history, data, name, self.reading, self.again, ESTIMATION)
             )
-            first = 0
-            if window != ALL_TRIALS:
-                first = max(number - window, 0)
-            elif number < len(fitted):
+            if window == ALL_TRIALS and number < len(fitted):
                 continue
+            first = 0 if window == ALL_TRIALS else max(number - window, 0)
             numbers = tuple(range(first + 1, number + 1))
             trials = TrialSet(tuple(observations[first:]), iteration_numbers=numbers)
             history.make_artifact(ESTIMATION, trials=trials)
@@ -112,7 +111,7 @@ def estimation_outcome(iterations: Sequence[Iteration], data: dataset.Dataset) -
                 f"Held out, the tip of {score['trial']} is {1e3 * score['tip']:.1f} mm "
                 "off (rms)."
             )
-    trials = f"{count} trial{'s' * (count != 1)} of {data.folder.name}"
+    trials = f"{format_count(count, 'trial')} of {data.folder.name}"
     sentences = [
         f"Estimated from {trials}; the matching rate E is {rate:.3f}.",
         *prediction_sentences,
