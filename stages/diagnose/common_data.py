@@ -8,8 +8,8 @@ but its own simulation, on what was measured. Initial states, noise and discrepa
 those of one search. A rival may be in a worse minimum of the parameters that all share,
 so that it is also fitted from those of the most evident other one, and from other
 places and times where causes may act. It goes on from the more evident end. How the
-error changes is measured again where it changes otherwise than expected; what is then
-unexpected in the end is an error of the log evidence.
+error changes is measured again where it changes otherwise than expected; what the last
+pass promised and did not gain is an error of the log evidence.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ def fit_to_common_data(
         if elsewhere.fit.log_evidence > current.fit.log_evidence:
             current = elsewhere
 
-        surprise = 0.0
+        surprise = 0.0  # of the log-likelihood where the last pass ended
+        missed = 0.0  # of what that pass promised
         for _ in range(MAX_PASSES):
             if surprise > min_gain:
                 # The error changes otherwise than it did where the rival began
@@ -91,16 +92,18 @@ def fit_to_common_data(
                 current = evaluate_with_own_error(searched, current.fit, chi)
             start = current.fit.chi[None]
             moved_to = _refit(current.data, current.fit, start, min_gain)
-            expected = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
+            by_trial = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
+            expected = by_trial.sum()
             moved = evaluate_with_own_error(searched, current.fit, moved_to)
             gain = moved.fit.log_evidence - current.fit.log_evidence
-            found = moved.fit.log_likelihood_by_trial
-            surprise = abs(found.sum() - expected.sum())
+            found = moved.fit.log_likelihood_by_trial.sum()
+            surprise = abs(found - expected)
             if gain > 0:
                 current = moved
+            missed = expected - current.fit.log_likelihood_by_trial.sum()
             if max(gain, surprise) < min_gain:
                 break
-        error = max(current.fit.log_evidence_error, surprise)
+        error = max(current.fit.log_evidence_error, missed)
         return replace(current.fit, log_evidence_error=error)
 
     fits = []

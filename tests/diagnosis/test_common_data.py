@@ -158,16 +158,16 @@ def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
     assert fitted.chi[0] == pytest.approx(ended)
     assert fitted.hypothesis is search.rival.hypothesis
     assert search.slopes_at == [0.1]
-    assert fitted.log_evidence_error == 0
+    assert fitted.log_evidence_error == 0.0
 
 
 def test_a_numerical_error_that_changes_otherwise_is_measured_again(monkeypatch):
     """A strip ended 42 short, where its error had changed since its slopes were known.
 
-    What is unexpected in the end is an error of the evidence.
+    What the last pass promised and did not gain is an error of the evidence.
     """
     evidence = {0.1: 5.0, 0.3: 2.0, 0.11: 40.0, 0.12: 60.0, 0.13: 60.5}
-    search = Search(monkeypatch, evidence, {0.11: 70.0, 0.13: 60.1})
+    search = Search(monkeypatch, evidence, {0.11: 70.0, 0.13: 60.9})
     fitted = search.fit()
     assert search.slopes_at == [0.1, 0.11]
     assert fitted.log_evidence == 60.5
@@ -175,4 +175,13 @@ def test_a_numerical_error_that_changes_otherwise_is_measured_again(monkeypatch)
 
     rough = {place: value + 9.0 for place, value in evidence.items()}
     search = Search(monkeypatch, evidence | {0.14: 60.0}, rough | {0.14: 69.0})
-    assert search.fit().log_evidence_error == pytest.approx(9.0)
+    assert search.fit().log_evidence_error == pytest.approx(8.5)
+
+
+def test_a_pass_into_chaos_says_nothing_of_the_evidence_before_it(monkeypatch):
+    """An unexpected error of 8 million made a cause as likely as none (mixed, 4153)."""
+    chaotic = {0.1: 5.0, 0.3: 2.0, 0.11: -8e6}
+    search = Search(monkeypatch, chaotic, {0.11: 7.0})
+    fitted = search.fit()
+    assert fitted.log_evidence == 5.0
+    assert fitted.log_evidence_error == pytest.approx(2.0)
