@@ -87,15 +87,17 @@ def _image_differences(a: Path, b: Path) -> list[str]:
     return [f"{count} pixels differ, at most by {distance.max()} grey levels"]
 
 
+def _read_checked(path: Path) -> pa.Table:
+    """Read a Parquet file and the checksums of its pages."""
+    return pq.read_table(path, partitioning=None, page_checksum_verification=True)
+
+
 def _table_differences(a: Path, b: Path) -> list[str]:
     """Compare columns with their order and types, rows, and every value to the bit."""
     try:
         if store.content_hash(a) == store.content_hash(b):
             return []
-        first, second = (
-            pq.read_table(path, partitioning=None, page_checksum_verification=True)
-            for path in (a, b)
-        )
+        first, second = _read_checked(a), _read_checked(b)
     except store.READ_ERRORS as error:
         return [f"it is not a whole Parquet file ({error})"]
     names = first.column_names

@@ -231,7 +231,7 @@ class MeasuredTables(NamedTuple):
     readings: pd.DataFrame
     masks: pd.DataFrame
 
-    def shifted(self, start: float) -> MeasuredTables:
+    def with_times_from(self, start: float) -> MeasuredTables:
         """Return the tables with times that count from a start [s]."""
         return MeasuredTables(*(rows.assign(t=rows["t"] - start) for rows in self))
 
@@ -276,7 +276,7 @@ def _build_trial(
     first = tables.motion["t"].min()
     start = float(np.floor(first)) if abs(first) > MAX_FIRST_TIME_S else 0.0
     if start:
-        tables = tables.shifted(start)
+        tables = tables.with_times_from(start)
     motion: Any = {hand.name: tables.motion}
     trial = Observation(
         name,

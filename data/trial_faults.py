@@ -81,16 +81,42 @@ def find_fault(
             hand.name,
             TRIAL_COLUMN.name,
         )
-    seen, table = np.unique(trial.valid_points["t"]), POINTS.name
-    if not len(seen) and film is not None:
-        seen, table = film.t, FRAMES.name
-    elif not len(seen):
-        reason, column = "no measured point is valid", "valid"
-        remedy = "Look at 'valid' in its points: a blank is false"
-        if trial.points.empty:
-            reason, column = "no measured point and no frame", TRIAL_COLUMN.name
-            remedy = "Add its rows to points or frames, or use the same name in both"
-        return TrialFault(reason, remedy, table, column)
+    seen = np.unique(trial.valid_points["t"])
+    if len(seen):
+        return _find_clock_fault(motion, seen, POINTS.name, start)
+    if film is not None:
+        return _find_clock_fault(motion, film.t, FRAMES.name, start)
+    if trial.points.empty:
+        return TrialFault(
+            "no measured point and no frame",
+            "Add its rows to points or frames, or use the same name in both",
+            POINTS.name,
+            TRIAL_COLUMN.name,
+        )
+    return TrialFault(
+        "no measured point is valid",
+        "Look at 'valid' in its points: a blank is false",
+        POINTS.name,
+        "valid",
+    )
+
+
+def _find_clock_fault(
+    motion: np.ndarray, seen: np.ndarray, table: str, start: float
+) -> TrialFault | None:
+    """Find out why the times of a trial cannot be used; None if they can.
+
+    Parameters
+    ----------
+    motion
+        Times of the hand (K,) [s].
+    seen
+        Times at which the string was seen (F,) [s].
+    table
+        The table of these.
+    start
+        What was subtracted from all times [s].
+    """
     if len(seen) < MIN_FRAMES:
         reason = f"the string was seen in {len(seen)} frame(s) only"
         remedy = "A motion takes more frames: record it again"

@@ -90,7 +90,7 @@ class ImportedTables:
 
 @dataclass(frozen=True)
 class RecordingParts:
-    """What one recording holds, in our units.
+    """The motion and the points of one recording, in our units.
 
     Attributes
     ----------
