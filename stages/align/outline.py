@@ -298,15 +298,7 @@ def link_pieces(
         and the number of its pixels.
     """
     points = model.camera.world(pixels)
-    shares, offsets, distances = link_coordinates(points, joints)  # (n, J) each
-    nearest = np.argmin(distances, axis=1)
-    at_nearest = (np.arange(len(points)), nearest)
-    share, offset = shares[at_nearest], offsets[at_nearest]
-    is_on_link = (share > LINK_END_SHARE) & (share < 1 - LINK_END_SHARE)
-    is_used = is_on_link & (distances[at_nearest] < reach * width)
-    share, offset = share[is_used], offset[is_used]
-    position = (share - LINK_END_SHARE) / (1 - 2 * LINK_END_SHARE) * PIECES_PER_LINK
-    number = nearest[is_used] * PIECES_PER_LINK + position.astype(int)
+    number, share, offset = _assign_to_pieces(points, joints, reach * width)
 
     # means over the pixels of each piece
     count = np.bincount(number, minlength=PIECES_PER_LINK * (len(joints) - 1))
@@ -320,13 +312,6 @@ def link_pieces(
     normal = turn_left(vector) / lengths
     axis = joints[link] + mean_share[:, None] * vector
     middle = axis + mean_offset[:, None] * normal
-
-    # other links near an edge would cut the piece, or add to it
-    is_clear = np.ones(len(axis), bool)
-    for side in (-width / 2, width / 2):
-        _, _, to_links = link_coordinates(axis + side * normal, joints)
-        to_links[np.arange(len(axis)), link] = np.inf
-        is_clear &= to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width
     columns = {
         "link": link + 1,
         "share": mean_share,
@@ -336,7 +321,46 @@ def link_pieces(
         "normal_y": normal[:, 1],
         "pixels": pixel_count,
     }
+    is_clear = np.ones(len(axis), bool)
+    for side in (-width / 2, width / 2):
+        is_clear &= _is_clear_of_others(axis + side * normal, link, joints, width)
     return pd.DataFrame(columns)[is_clear]
+
+
+def _assign_to_pieces(
+    points: np.ndarray, joints: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Assign points (n, 2) [m] to the pieces of the nearest link within reach [m].
+
+    Returns
+    -------
+    number
+        Of the piece, from the base on (m,). Points near joints have none.
+    share, offset
+        Coordinates along and across the link (m,), as in `link_coordinates`.
+    """
+    shares, offsets, distances = link_coordinates(points, joints)  # (n, J) each
+    nearest = np.argmin(distances, axis=1)
+    at_nearest = (np.arange(len(points)), nearest)
+    share, offset = shares[at_nearest], offsets[at_nearest]
+    is_on_link = (share > LINK_END_SHARE) & (share < 1 - LINK_END_SHARE)
+    is_used = is_on_link & (distances[at_nearest] < reach)
+    share, offset = share[is_used], offset[is_used]
+    position = (share - LINK_END_SHARE) / (1 - 2 * LINK_END_SHARE) * PIECES_PER_LINK
+    number = nearest[is_used] * PIECES_PER_LINK + position.astype(int)
+    return number, share, offset
+
+
+def _is_clear_of_others(
+    edge: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float
+) -> np.ndarray:
+    """Tell at which edges (n, 2) [m] of pieces no other link is near, (n,).
+
+    One would cut the piece, or add to it. link: of each piece, from 0 (n,).
+    """
+    _, _, to_links = link_coordinates(edge, joints)
+    to_links[np.arange(len(edge)), link] = np.inf
+    return np.asarray(to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width)
 
 
 def link_coordinates(
