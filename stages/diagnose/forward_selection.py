@@ -85,7 +85,7 @@ def _add_step(
     """
     step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
     parent = step.parent
-    if not step.accepted and parent is not state.fit:
+    if not step.accepted:
         data = state.prepared.data
         moved = evaluate_fit(data, parent.hypothesis, parent.chi, parent.width)
         if moved.log_evidence > state.fit.log_evidence + NEGLIGIBLE_LOG_EVIDENCE:

@@ -39,6 +39,8 @@ def fit_with(*causes):
         log_evidence=100.0 * len(causes),
         exponents={},
         scale_indices=None,
+        chi=None,
+        width=None,
     )
 
 
@@ -304,6 +306,9 @@ def test_a_small_cause_does_not_hide_a_larger_one(
 
     monkeypatch.setattr(forward_selection, "compare_candidates", compare)
     monkeypatch.setattr(forward_selection, "add_cause", add)
+    monkeypatch.setattr(
+        forward_selection, "evaluate_fit", lambda data, *given: fit_with()
+    )
     for module in (confirmation, selection_state):
         monkeypatch.setattr(module, "refit", refit_stand_in)
     monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
