@@ -56,7 +56,7 @@ rows[LAST_CURVATURE + ahead] = curvature{{ unless_rehearsal("rows[LAST_CURVATURE
 {% macro memory_moments(slot) %}
 {% for effect in laws.effects_with(slot) %} + {{ laws.call(effect, slot, memory="memory_" ~ loop.index0) }}{% endfor %}
 {% endmacro %}
-"""A step loop, generated from step_loop.py.j2. Not to be edited."""
+"""A step loop, generated from step_loop_template.py. Not to be edited."""
 from __future__ import annotations
 
 import numpy as np
