@@ -194,9 +194,8 @@ class CauseSearch:
         best = most_evident_fit(self.compared.values())
         if not best.causes:
             return None
-        left = self.with_noise(best)
-        is_near = tip_rms_m(best.estimate) <= tolerance_m or left.leave_mesh_error
-        is_explained = is_near and left.explain_all
+        is_near = self.is_near(best, tolerance_m)
+        is_explained = is_near and self.with_noise(best).explain_all
         # more causes would be no likelier then
         most_causes = len(best.causes) if is_explained else MAX_CAUSES
         open_ends = []
@@ -215,6 +214,15 @@ class CauseSearch:
             if finalist.comparison.log_evidence + MAX_DEFICIT > best.log_evidence:
                 self.fit(comparer, finalist)
         self.postponed.clear()
+
+    def is_near(self, comparison: Comparison, tolerance_m: float) -> bool:
+        """Tell whether causes that were fitted leave little, or only the mesh's error.
+
+        tolerance_m: tip misfit that matters little [m].
+        """
+        if tip_rms_m(comparison.estimate) <= tolerance_m:
+            return True
+        return self.with_noise(comparison).leave_mesh_error
 
     def with_noise(self, comparison: Comparison) -> NoiseRatios:
         """Compare what causes that were fitted leave with the noise."""

@@ -33,6 +33,7 @@ from stringcast.stages.explain.comparison import (
     Comparer,
     Comparison,
     explains_half,
+    most_evident_fit,
     noise_m,
     rms_m,
     tip_rms_m,
@@ -127,11 +128,10 @@ def explain(
         start = previous if is_best else estimate
         with budget.measure_fit():
             compared[causes] = compare.fit(find_effects(causes), start)
-    fitted = list(compared.values())
-    is_enough = any(tip_rms_m(each.estimate) <= tolerance_m for each in fitted)
 
     search = CauseSearch(compare, effects, compared, finalists, budget)
-    if is_surprising or not earlier or not is_enough:
+    best = most_evident_fit(compared.values())
+    if is_surprising or not earlier or not search.is_near(best, tolerance_m):
         search.add_effect_to(base)
     search.add_further_effects(tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))

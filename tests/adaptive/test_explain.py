@@ -332,20 +332,27 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(search):
 def sought(monkeypatch, arm, camera, observe):
     """Return a function that explains a trial, and lists to what effects were added.
 
-    Nothing is fitted but the causes of earlier trials, which leave 5 mm.
+    Nothing is fitted but the causes of earlier trials, which leave `known_m`.
     """
 
-    def explain_trial(left_m, previous, ratio=3.0, is_surprising=False):
+    def explain_trial(
+        left_m,
+        previous,
+        ratio=3.0,
+        is_surprising=False,
+        known_m=0.005,
+        mesh_fraction=0.0,
+    ):
         extended = []
 
         def add_effect(search, base):
             extended.append(base.causes)
             search.extended.add(base.causes)
 
-        found = fitted("tip_mass", 20.0, 0.005)
+        found = fitted("tip_mass", 20.0, known_m)
         monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
-        ratios = NoiseRatios(10.0, ratio)
+        ratios = NoiseRatios(10.0, ratio, mesh_fraction)
         monkeypatch.setattr(CauseSearch, "with_noise", lambda *given: ratios)
         for name in ("build_explanation", "not_asked"):
             monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: None)
@@ -379,6 +386,18 @@ def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
     """It needs no surprise, nor a tip that is far off."""
     previous = earlier({"tip_mass": 1.0}, "cause")
     assert sought(0.04, previous, ratio) == expected
+
+
+@pytest.mark.parametrize(
+    ("mesh_fraction", "expected"), [(0.8, []), (0.3, [NO_CAUSE, ("tip_mass",)])]
+)
+def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
+    sought, mesh_fraction, expected
+):
+    """The cause of the look left the tip of a cast 16 mm off, as the mesh did."""
+    known = {"known_m": 1.5 * TOLERANCE_M, "mesh_fraction": mesh_fraction}
+    previous = earlier({"tip_mass": 1.0}, "cause")
+    assert sought(0.08, previous, ratio=1.0, **known) == expected
 
 
 @pytest.mark.parametrize(
