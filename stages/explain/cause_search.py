@@ -28,9 +28,12 @@ from stringcast.stages.model.effect import Effect
 
 MAX_CAUSES = 3  # together
 SLOW_FITS = 5.0  # others take as long as one with stiff loads
-# Of the log evidence on the coarse mesh. What is further behind is not fitted: a fit
-# from nothing gains less, and others gain as well
+# Of the log evidence on the coarse mesh. What is further behind the best is not fitted:
+# a fit from nothing gains less, and others gain as well
 MAX_DEFICIT = 15.0
+# Of what the best gains, where that is more: of two that fits could not distinguish,
+# one was 16 of 61 behind
+MAX_DEFICIT_FRACTION = 0.5
 
 
 @dataclass
@@ -125,11 +128,14 @@ class CauseSearch:
         screened.sort(key=lambda each: -each.comparison.log_evidence)
         finalists = screened[: self.finalists]
         quick = [each.comparison.log_evidence for each in finalists if not each.is_slow]
+        most = max((each.comparison.log_evidence for each in finalists), default=0.0)
+        gain = most - base.log_evidence
+        max_deficit = max(MAX_DEFICIT, MAX_DEFICIT_FRACTION * gain)
         for each in finalists:
             evidence = each.comparison.log_evidence
             if each.is_slow and evidence < max(quick, default=-np.inf) + MAX_DEFICIT:
                 self.postponed.append((comparer, each))
-            elif evidence + MAX_DEFICIT > finalists[0].comparison.log_evidence:
+            elif evidence + max_deficit > most:
                 self.fit(comparer, each)
         if not base.causes:
             # what was not fitted is as evident as it seems on the coarse mesh

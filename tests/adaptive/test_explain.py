@@ -258,6 +258,15 @@ def test_what_is_far_behind_is_not_fitted(search):
     assert searched.is_complete
 
 
+def test_a_rival_is_fitted_though_it_is_behind_on_the_coarse_mesh(search, monkeypatch):
+    """A slow look shows wind as it shows a tilt of gravity; the coarse mesh errs."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction", 1.0)
+    monkeypatch.setitem(RMS_MM, "wind", 1.8)
+    searched = search.begin("gravity_direction wind clamp")
+    searched.add_effect_to(searched.comparer.base)
+    assert search.fits == [("gravity_direction",), ("wind",)]
+
+
 def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypatch):
     """The coarse mesh shows little of either: the fits gain 40 of the log evidence."""
     monkeypatch.setattr(Comparer, "screened_square", lambda *given: 1.0)
