@@ -63,12 +63,15 @@ def select_causes(
         if step.best is None or not step.accepted:
             state = _set_aside_if_small(state, step, criteria)
             break
-        state = add_cause(state, step.best, criteria, rng, starts)
-        state = exchange_two_causes(state, criteria)
-        state = drop_redundant_causes(state, criteria)
         name = step.best.hypothesis.cause_names[-1]
         gain = step.best.log_evidence - step.parent.log_evidence
         log.info("accepted: %s, log evidence %+.1f", name, gain)
+        before = state.fit.hypothesis.causes
+        state = add_cause(state, step.best, criteria, rng, starts)
+        state = exchange_two_causes(state, criteria)
+        state = drop_redundant_causes(state, criteria)
+        if state.fit.hypothesis.causes == before:
+            break  # it is not needed after all, and would be found again
         yield state
     yield drop_unconfirmed_causes(state, criteria, len(effects))
 
