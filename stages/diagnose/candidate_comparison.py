@@ -16,7 +16,9 @@ from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
 )
 from stringcast.stages.diagnose.measures import (
+    fit_in_workers,
     mean_explained_fraction,
+    refit,
     sample_by_misfit,
     unexplained_tip_rms,
 )
@@ -41,7 +43,6 @@ from stringcast.stages.diagnose.selection_step import (
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect, is_position_dependent
-from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +65,8 @@ def compare_candidates(
     contested : Fit, optional
         The fit with a cause that was accepted, whose place is contested.
     """
-    parent = _fit_to_corrected_data(prepared, parent)
+    # Data were corrected where the fit had ended: else each candidate makes up for that
+    parent = refit(prepared.data, parent, parent.hypothesis, NEGLIGIBLE_LOG_EVIDENCE)
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
     sample = _sample_trials(prepared.data, parent)
@@ -97,17 +99,6 @@ def compare_candidates(
         if not remaining or _explains_enough(prepared.data, decided, criteria):
             return decided
         chosen = remaining
-
-
-def _fit_to_corrected_data(prepared: PreparedData, fit: Fit) -> Fit:
-    """Fit a hypothesis again to data that were corrected where its fit had ended.
-
-    Otherwise each candidate would gain what that gains.
-    """
-    scale_indices = fit.scale_indices
-    min_gain = NEGLIGIBLE_LOG_EVIDENCE
-    start = fit.chi[None]
-    return fit_hypothesis(prepared.data, fit.hypothesis, start, scale_indices, min_gain)
 
 
 def _explains_enough(
@@ -189,42 +180,33 @@ def _fit_more_proposals(
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
 
-    fits = []
-    fitted = map_in_workers(fit_proposal, range(len(proposals)))
-    for fit, proposal in zip(fitted, proposals, strict=True):
-        # A worker returns a copy of the hypothesis
-        fits.append(replace(fit, hypothesis=proposal.hypothesis))
+    fits = fit_in_workers(fit_proposal, [p.hypothesis for p in proposals])
 
     # Those that may lead, with numerical error of their own
     least_evidence = least_evidence_of_rivals([*step.fits, *fits], parent, criteria)
     leading = [k for k, fit in enumerate(fits) if fit.log_evidence > least_evidence]
 
     def correct_roughly(number: int) -> Fit:
-        fit = fits[number]
+        fit = fits[leading[number]]
         data = correct_data_on_one_finer_mesh(prepared, fit)
-        start = fit.chi[None]
-        corrected = fit_hypothesis(
-            data, fit.hypothesis, start, fit.scale_indices, min_gain
-        )
+        corrected = refit(data, fit, fit.hypothesis, min_gain)
         gain = corrected.log_evidence - parent.log_evidence
         name = fit.hypothesis.cause_names[-1]
         log.info("%s: log evidence %+.1f on a finer mesh", name, gain)
         return corrected
 
-    for k, corrected in zip(
-        leading, map_in_workers(correct_roughly, leading), strict=True
-    ):
+    corrections = fit_in_workers(correct_roughly, [fits[k].hypothesis for k in leading])
+    for k, corrected in zip(leading, corrections, strict=True):
         # One finer mesh shows the error roughly: what may be evident is compared
         if corrected.log_evidence > fits[k].log_evidence:
-            fits[k] = replace(corrected, hypothesis=fits[k].hypothesis)
+            fits[k] = corrected
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
 
 
 def _best_gain(step: SelectionStep) -> float:
     """Return the log evidence that the best candidate gains, or promises to gain."""
-    gains = [fit.log_evidence - step.parent.log_evidence for fit in step.fits[:1]]
-    promised = [proposal.gain for proposal in step.proposals[:1]]
-    return max([*gains, *promised], default=0.0)
+    promised = max((proposal.gain for proposal in step.proposals[:1]), default=0.0)
+    return max(step.best_gain, promised)
 
 
 def _find_better_parent(
@@ -251,5 +233,5 @@ def _find_better_parent(
     )
     gain = other.log_evidence - parent.log_evidence
     log.info("without a further cause: log evidence %+.1f", gain)
-    possible = best.log_evidence - parent.log_evidence
-    return other if gain > criteria.min_explained_fraction * possible else None
+    is_better = gain > criteria.min_explained_fraction * step.best_gain
+    return other if is_better else None

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from stringcast.stages.diagnose.common_data import fit_to_common_data
+from stringcast.stages.diagnose.measures import fit_in_workers
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.diagnose.selection_step import (
@@ -26,7 +26,6 @@ from stringcast.stages.diagnose.selection_step import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
-from stringcast.stages.workers import map_in_workers
 
 log = logging.getLogger(__name__)
 
@@ -42,9 +41,7 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
     """
     *earlier, last = [step for step in state.steps if step.accepted]
     exchanges = list(_exchanges(state, earlier, last))
-    assert last.best is not None
-    last_gain = last.best.log_evidence - last.parent.log_evidence
-    min_gain = precision_to_rank(last_gain)
+    min_gain = precision_to_rank(last.best_gain)
 
     def fit_exchange(number: int) -> Fit:
         hypothesis, starts = exchanges[number]
@@ -55,13 +52,10 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
         return fit
 
-    most_lost = (1 - criteria.min_explained_fraction) * last_gain
-    rivals = []
-    fitted = map_in_workers(fit_exchange, range(len(exchanges)))
-    for (hypothesis, _), fit in zip(exchanges, fitted, strict=True):
-        if fit.log_evidence > state.fit.log_evidence - most_lost:
-            # A worker returns a copy of the hypothesis
-            rivals.append(replace(fit, hypothesis=hypothesis))
+    most_lost = (1 - criteria.min_explained_fraction) * last.best_gain
+    least_evidence = state.fit.log_evidence - most_lost
+    fits = fit_in_workers(fit_exchange, [hypothesis for hypothesis, _ in exchanges])
+    rivals = [fit for fit in fits if fit.log_evidence > least_evidence]
     if not rivals:
         return state
 

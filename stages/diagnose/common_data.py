@@ -24,6 +24,7 @@ from stringcast.stages.diagnose.discretisation import (
     correct_data_on_one_finer_mesh,
     fit_mesh_correction,
 )
+from stringcast.stages.diagnose.measures import fit_in_workers
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import alternative_parameter_starts
 from stringcast.stages.diagnose.rules import NEGLIGIBLE_LOG_EVIDENCE
@@ -34,7 +35,6 @@ from stringcast.stages.inference.laplace import (
     log_likelihoods,
 )
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.workers import map_in_workers
 
 MAX_PASSES = 4  # of a fit and its numerical error; it mostly takes two
 
@@ -83,7 +83,6 @@ def fit_to_common_data(
             current = elsewhere
 
         surprise = 0.0  # of the log-likelihood where the last pass ended
-        missed = 0.0  # of what that pass promised
         for _ in range(MAX_PASSES):
             if surprise > min_gain:
                 # The error changes otherwise than it did where the rival began
@@ -100,18 +99,14 @@ def fit_to_common_data(
             surprise = abs(found - expected)
             if gain > 0:
                 current = moved
+            # Of what the pass promised
             missed = expected - current.fit.log_likelihood_by_trial.sum()
             if max(gain, surprise) < min_gain:
                 break
         error = max(current.fit.log_evidence_error, missed)
         return replace(current.fit, log_evidence_error=error)
 
-    fits = []
-    fitted = map_in_workers(fit_rival, range(len(rivals)))
-    for rival, fit in zip(rivals, fitted, strict=True):
-        # A worker returns a copy of the hypothesis
-        fits.append(replace(fit, hypothesis=rival.hypothesis))
-    return fits
+    return fit_in_workers(fit_rival, [rival.hypothesis for rival in rivals])
 
 
 def prepared_at(prepared: PreparedData, rival: Fit) -> PreparedData:

@@ -64,8 +64,7 @@ def select_causes(
             state = _set_aside_if_small(state, step, criteria)
             break
         name = step.best.hypothesis.cause_names[-1]
-        gain = step.best.log_evidence - step.parent.log_evidence
-        log.info("accepted: %s, log evidence %+.1f", name, gain)
+        log.info("accepted: %s, log evidence %+.1f", name, step.best_gain)
         before = state.fit.hypothesis.causes
         state = add_cause(state, step.best, criteria, rng, starts)
         state = exchange_two_causes(state, criteria)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from stringcast.stages.common import choose_evenly
@@ -11,18 +14,41 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
+from stringcast.stages.inference.solver import MIN_GAIN
 from stringcast.stages.inference.trial_data import (
     ByTrial,
     TrialData,
     subtract_by_trial,
 )
 from stringcast.stages.model.effect import Effect, is_position_dependent
+from stringcast.stages.workers import map_in_workers
 
 
-def refit(data: TrialData, fit: Fit, hypothesis: Hypothesis) -> Fit:
-    """Fit another hypothesis from the parameters of a fit."""
+def refit(
+    data: TrialData,
+    fit: Fit,
+    hypothesis: Hypothesis,
+    min_gain: float = MIN_GAIN,
+) -> Fit:
+    """Fit a hypothesis, of the fit or another, from the parameters of a fit.
+
+    min_gain: a step that gains less of the log-likelihood ends its turn.
+    """
     start = hypothesis.exponents_from(fit.exponents)
-    return fit_hypothesis(data, hypothesis, start[None], fit.scale_indices)
+    return fit_hypothesis(data, hypothesis, start[None], fit.scale_indices, min_gain)
+
+
+def fit_in_workers(
+    fit_one: Callable[[int], Fit], hypotheses: Sequence[Hypothesis]
+) -> list[Fit]:
+    """Fit hypotheses side by side.
+
+    fit_one: fits the hypothesis of a number. A worker returns a copy of it, in the
+    place of which each fit gets the given one.
+    """
+    fitted = map_in_workers(fit_one, range(len(hypotheses)))
+    pairs = zip(fitted, hypotheses, strict=True)
+    return [replace(fit, hypothesis=hypothesis) for fit, hypothesis in pairs]
 
 
 def residuals_without_nuisance(data: TrialData, fit: Fit) -> ByTrial:

@@ -63,7 +63,7 @@ def compare_rivals(
     # Common data mostly lower the evidence: none may lead because it was not compared
     least_evidence = least_evidence_of_rivals(step.fits, step.parent, criteria)
     rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
-    min_gain = precision_to_rank(step.best.log_evidence - step.parent.log_evidence)
+    min_gain = precision_to_rank(step.best_gain)
     parent, *compared = _fit_new_rivals(prepared, step, rivals, before, min_gain)
     causes = [fit.hypothesis.causes[-1] for fit in compared]
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
@@ -137,21 +137,16 @@ def _fit_close_rivals_precisely(
     min_gain : float
         Of the log evidence, to which the rivals were fitted.
     """
-    fits = list(ranked)
-    best = max((fit.log_evidence for fit in fits), default=0.0)
-    close = []
-    for k, fit in enumerate(fits):
-        if fit.log_evidence > best - CLOSE_PRECISIONS * min_gain:
-            close.append(k)
+    best = max((fit.log_evidence for fit in ranked), default=0.0)
+    least_evidence = best - CLOSE_PRECISIONS * min_gain
+    close = [k for k, fit in enumerate(ranked) if fit.log_evidence > least_evidence]
     if len(close) < 2:
-        return fits
-    unsettled = [
-        k for k in close if fits[k].log_evidence_error > NEGLIGIBLE_LOG_EVIDENCE
-    ]
-    refitted = fit_to_common_data(prepared, [fits[k] for k in unsettled], known)
-    for k, fit in zip(unsettled, refitted, strict=True):
-        fits[k] = fit
-    return fits
+        return list(ranked)
+    unsettled = []
+    for k in close:
+        if ranked[k].log_evidence_error > NEGLIGIBLE_LOG_EVIDENCE:
+            unsettled.append(k)
+    return _fit_some_again(prepared, ranked, unsettled, known)
 
 
 def _split_by_resolution(
@@ -215,12 +210,25 @@ def _catch_up_with_parent(
         return float(fit.log_likelihood_by_trial.sum())
 
     least = log_likelihood(parent) - NEGLIGIBLE_LOG_EVIDENCE
-    fits = list(compared)
-    behind = [k for k, fit in enumerate(fits) if log_likelihood(fit) < least]
-    refitted = fit_to_common_data(prepared, [fits[k] for k in behind], [parent])
-    for k, fit in zip(behind, refitted, strict=True):
-        fits[k] = fit
-    return fits
+    behind = [k for k, fit in enumerate(compared) if log_likelihood(fit) < least]
+    return _fit_some_again(prepared, compared, behind, [parent])
+
+
+def _fit_some_again(
+    prepared: PreparedData,
+    fits: Sequence[Fit],
+    numbers: Sequence[int],
+    known: Sequence[Fit],
+) -> list[Fit]:
+    """Fit those with some numbers again to common data; return all.
+
+    known: fits to common data, from the best of which they begin as well.
+    """
+    updated = list(fits)
+    refitted = fit_to_common_data(prepared, [fits[k] for k in numbers], known)
+    for k, fit in zip(numbers, refitted, strict=True):
+        updated[k] = fit
+    return updated
 
 
 def _shift_evidence(fits: Sequence[Fit], shift: float) -> list[Fit]:

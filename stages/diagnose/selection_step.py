@@ -57,6 +57,13 @@ class SelectionStep:
         """The fit that leads."""
         return self.fits[0] if self.fits else None
 
+    @property
+    def best_gain(self) -> float:
+        """The log evidence that the leading fit gains over the parent; 0 for none."""
+        if self.best is None:
+            return 0.0
+        return self.best.log_evidence - self.parent.log_evidence
+
 
 def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fit]:
     """Sort fits by evidence, those after that are only ahead at the end of a range.

@@ -51,9 +51,7 @@ def limited(monkeypatch):
 @pytest.fixture
 def fitted_parents(monkeypatch):
     """Let parents be at their optimum."""
-    monkeypatch.setattr(
-        candidate_comparison, "_fit_to_corrected_data", lambda prepared, fit: fit
-    )
+    monkeypatch.setattr(candidate_comparison, "refit", lambda data, fit, *given: fit)
 
 
 @pytest.fixture(autouse=True)
@@ -484,7 +482,8 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     def fit(data, *given):
         return named_fit("wind", evidence[data])
 
-    monkeypatch.setattr(candidate_comparison, "fit_hypothesis", fit)
+    for name in ("fit_hypothesis", "refit"):
+        monkeypatch.setattr(candidate_comparison, name, fit)
     monkeypatch.setattr(
         candidate_comparison,
         "correct_data_on_one_finer_mesh",

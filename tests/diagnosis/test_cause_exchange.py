@@ -77,7 +77,9 @@ def test_two_causes_are_exchanged_if_others_explain_more(
 
     monkeypatch.setattr(cause_exchange, "fit_hypothesis", fit_roughly)
     monkeypatch.setattr(
-        cause_exchange, "map_in_workers", lambda call, items: [*map(call, items)]
+        cause_exchange,
+        "fit_in_workers",
+        lambda call, hypotheses: [call(k) for k in range(len(hypotheses))],
     )
     monkeypatch.setattr(cause_exchange, "fit_to_common_data", compare)
     monkeypatch.setattr(

@@ -102,7 +102,7 @@ class Search:
             "evaluate_with_own_error": self.evaluate,
             "log_likelihoods": self.expect,
             "alternative_parameter_starts": lambda *given: np.zeros((0, 2)),
-            "map_in_workers": lambda call, items: [call(0), self.best],
+            "fit_in_workers": lambda call, hypotheses: [call(0), self.best],
         }.items():
             monkeypatch.setattr(common_data, name, stand_in)
         self.rival = fit_of("set", {"stiffness": 0.1, "curvature": 0.6}, 1.0)
