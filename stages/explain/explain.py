@@ -43,7 +43,7 @@ from stringcast.stages.explain.decision import (
     decide,
     posterior_probabilities,
 )
-from stringcast.stages.explain.noise_ratios import is_error_of_mesh
+from stringcast.stages.explain.noise_ratios import compare_with_noise
 from stringcast.stages.inference.likelihood import time_blocks
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
@@ -105,7 +105,8 @@ def explain(
     if not is_surprising and not earlier:
         if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
             return not_asked(estimate, "The model explains the trials")
-        if is_error_of_mesh(model, observations, estimate):
+        noise_ratios = compare_with_noise(model, observations, [estimate])
+        if noise_ratios.leave_mesh_error:
             return not_asked(estimate, "The model leaves the error of its mesh")
 
     trials = [prepare_trial(model, observation) for observation in observations]

@@ -75,20 +75,23 @@ class NoiseRatios:
 def compare_with_noise(
     model: Model, observations: Sequence[Observation], estimates: Sequence[Estimate]
 ) -> NoiseRatios:
-    """Compare what estimates without and with causes leave with the noise.
+    """Compare what estimates leave with the noise.
 
-    The end of a trial does not count if the mesh of one of them errs by more than the
-    noise there. False parameters without causes may err so much that hardly anything
-    counts. So nothing more may be left where the model with causes is resolved.
+    The first estimate is of the model without causes, the last of that with causes.
+    They may be the same. The end of a trial does not count if the mesh of one of them
+    errs by more than the noise there. False parameters without causes may err so much
+    that hardly anything counts. So nothing more may be left where the model with causes
+    is resolved.
     """
     fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
     counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
     where_both = np.min(counts, axis=0)  # frames of each trial
-    without, left = [first_frames_residual(*fit, where_both) for fit in fits]
-    if (counts[1] > where_both).any():
-        left = max(left, first_frames_residual(*fits[1], counts[1]))
-    share = mesh_fraction(*fits[1], estimates[1], observations)
-    return NoiseRatios(without, left, share)
+    residuals = [first_frames_residual(*fit, where_both) for fit in fits]
+    left = residuals[-1]
+    if (counts[-1] > where_both).any():
+        left = max(left, first_frames_residual(*fits[-1], counts[-1]))
+    share = mesh_fraction(*fits[-1], estimates[-1], observations)
+    return NoiseRatios(residuals[0], left, share)
 
 
 def mesh_fraction(
@@ -124,21 +127,6 @@ def likelihood_at(
     fitted = estimate.parameters.set_index("name")["chi"]
     chi = fitted.loc[list(extended.names)].to_numpy()
     return Likelihood(TrialData(tuple(trials)), extended), chi
-
-
-def is_error_of_mesh(
-    model: Model, observations: Sequence[Observation], estimate: Estimate
-) -> bool:
-    """Tell whether an estimate leaves only noise and the error of the mesh.
-
-    Only noise is left where the mesh resolves the string, and the error of the mesh
-    explains half of the mean square misfit of the whole trials.
-    """
-    fit = likelihood_at(model, observations, estimate)
-    if not mesh_fraction(*fit, estimate, observations) >= MIN_EXPLAINED_FRACTION:
-        return False
-    frames = resolved_frames(*fit, MAX_MESH_ERROR_RATIO)
-    return first_frames_residual(*fit, frames) < MAX_NOISE_RATIO
 
 
 def corrected_residual(likelihood: Likelihood, chi: np.ndarray) -> float:

@@ -27,7 +27,6 @@ from stringcast.stages.explain.noise_ratios import (
     NoiseRatios,
     compare_with_noise,
     corrected_residual,
-    is_error_of_mesh,
 )
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -410,19 +409,20 @@ def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
 
 
 @pytest.mark.parametrize(
-    ("noises", "is_error_of_mesh", "is_surprising", "is_sought"),
+    ("noises", "mesh_fraction", "is_surprising", "is_sought"),
     [
-        (1.3, False, False, False),
-        (1.7, False, False, True),
-        (1.7, True, False, False),
-        (1.0, False, True, True),
+        (1.3, 0.0, False, False),
+        (1.7, 0.0, False, True),
+        (1.7, 0.8, False, False),
+        (1.0, 0.0, True, True),
     ],
 )
 def test_causes_are_sought_of_what_noise_and_mesh_do_not_explain(
-    sought, monkeypatch, noises, is_error_of_mesh, is_surprising, is_sought
+    sought, monkeypatch, noises, mesh_fraction, is_surprising, is_sought
 ):
     """The tip may be near: of dry friction a cast leaves 2 mm, of 27 mm without it."""
-    monkeypatch.setattr(f"{EXPLAIN}.is_error_of_mesh", lambda *given: is_error_of_mesh)
+    ratios = NoiseRatios(1.0, 1.0, mesh_fraction)
+    monkeypatch.setattr(f"{EXPLAIN}.compare_with_noise", lambda *given: ratios)
     left_m = noises * np.sqrt(2) * NOISE_M
     found = sought(left_m, None, is_surprising=is_surprising)
     assert found == ([NO_CAUSE] if is_sought else [])
@@ -504,7 +504,7 @@ def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
         model = Model(coarse, arm, camera)
         estimate = true_estimate(model)
         observation = observe(hidden)
-        ratios = compare_with_noise(model, [observation], [estimate, estimate])
+        ratios = compare_with_noise(model, [observation], [estimate])
         assert ratios.are_noise == (not hidden)
     trial = prepare_trial(model, observe({}))
     chi = estimate.parameters["chi"].to_numpy()
@@ -525,12 +525,12 @@ def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
     true_chi = estimate.parameters["chi"].to_numpy()
     (chi,) = fit_least_squares(likelihood, true_chi[None]).chi
     estimate.parameters["chi"] = chi
-    ratios = compare_with_noise(model, [observation], [estimate, estimate])
-    assert ratios.are_noise == (not hidden)
     assert corrected_residual(likelihood, chi) > 2
     left = rms(likelihood.residuals(chi[None])[0]) * np.sqrt(2) * NOISE_M
     estimate.fit = pd.DataFrame([{"rms_after": left}])
-    assert is_error_of_mesh(model, [observation], estimate) == (not hidden)
+    ratios = compare_with_noise(model, [observation], [estimate])
+    assert ratios.are_noise == (not hidden)
+    assert ratios.leave_mesh_error == (not hidden)
 
 
 @pytest.mark.parametrize(
