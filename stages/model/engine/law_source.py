@@ -38,7 +38,7 @@ ARGUMENT_EXPRESSIONS: dict[str, dict[str, str]] = {
     "flow": {"x": "px", "y": "py", "t": "t"},
     "rest_curvature": {
         "s": "s_hinge{ratio}",
-        "length": "(float(n) - 1.0) * length{ratio}",
+        "length": "string_length{ratio}",
     },
 }
 MASS_SLOTS = {"density", "tip_mass", "tip_length"}

@@ -132,24 +132,25 @@ def measure_segment(rows, values, lane, ahead, per_segment, s_middle):
     rows[INVERSE_LENGTH + ahead] = inverse
     rows[TURN_RATE + ahead] = omega
     rows[TENSION + ahead] = {{ laws.sum_of_laws("tension") }}
-    return angle, omega
 
 
 # Phase 3: the hinges. Moment of the hinge at the grasp, and of the one between two segments.
 @njit(**LAW)
-def bend_grasp(rows, values, lane, ahead, angle, omega, dt, stage):
+def bend_grasp(rows, values, lane, ahead, dt, stage):
     {% set rest_angle = "rows[GRASP_REST_ANGLE + lane]" if laws.effects_with("rest_curvature") else "0.0" %}
-    curvature = angle - rows[HAND_ANGLE + lane] - {{ rest_angle }}
-    bend = omega - rows[HAND_RATE + lane]
+    curvature = rows[ANGLE + ahead] - rows[HAND_ANGLE + lane] - {{ rest_angle }}
+    bend = rows[TURN_RATE + ahead] - rows[HAND_RATE + lane]
     {{ memory_update("grasp_memory") | indent }}
     rows[MOMENT + ahead] = {{ laws.sum_of_laws("grasp_moment") }}{{ memory_moments("grasp_memory_moment") }}
 
 
 @njit(**LAW)
-def bend_hinge(rows, values, lane, ahead, point, angle, omega, n, length, per_segment, s_hinge, dt, stage):
+def bend_hinge(rows, values, lane, ahead, per_segment, s_hinge, string_length, dt, stage):
     {{ per_segment() | indent }}
-    curvature = (angle - rows[ANGLE + point]) * per_segment - ({{ laws.sum_of_laws("rest_curvature") }})
-    bend = (omega - rows[TURN_RATE + point]) * per_segment
+    turn = rows[ANGLE + ahead] - rows[ANGLE + ahead - NEXT]
+    turn_rate = rows[TURN_RATE + ahead] - rows[TURN_RATE + ahead - NEXT]
+    curvature = turn * per_segment - ({{ laws.sum_of_laws("rest_curvature") }})
+    bend = turn_rate * per_segment
     {{ memory_update("hinge_memory") | indent }}
     {% if laws.effects_with("hinge_stiffness") %}
     hinge_stiffness = {{ laws.sum_of_laws("hinge_stiffness", curvature="curvature") }}
@@ -161,15 +162,13 @@ def bend_hinge(rows, values, lane, ahead, point, angle, omega, n, length, per_se
     {% endif %}
     {% endif %}
     {% set stiff_moment = " + hinge_stiffness * curvature" if laws.effects_with("hinge_stiffness") %}
-    couple = {{ laws.sum_of_laws("moment") }}{{ stiff_moment }}{{ memory_moments("hinge_memory_moment") }}
-    rows[MOMENT + ahead] = couple
-    return couple
+    rows[MOMENT + ahead] = {{ laws.sum_of_laws("moment") }}{{ stiff_moment }}{{ memory_moments("hinge_memory_moment") }}
 
 
 # Phase 4: the forces. What the segment behind pulls and pushes with, from its tension and the moments at its ends.
 @njit(**LAW)
-def force_of_segment(rows, point, couple):
-    shear = (couple - rows[MOMENT + point]) * rows[INVERSE_LENGTH + point]
+def force_of_segment(rows, point):
+    shear = (rows[MOMENT + point + NEXT] - rows[MOMENT + point]) * rows[INVERSE_LENGTH + point]
     fx = -rows[TENSION + point] * rows[TANGENT_X + point] - shear * rows[TANGENT_Y + point]
     fy = -rows[TENSION + point] * rows[TANGENT_Y + point] + shear * rows[TANGENT_X + point]
     rows[FORCE_X + point] = fx
@@ -219,33 +218,32 @@ def record(rows, n, first, tick_number, out, alive):
 def run(first, last, buffers, values, hands, hands_per_block, points, length, steps, tick, start, out, alive):
     # Blocks first to last - 1. buffers (blocks, size), values (blocks, parameters * lanes), hands (ticks, blocks or 1,
     # 12 * lanes), steps (blocks,) in a tick, out (candidates, ticks + 1, n, 2), alive (blocks, lanes).
+    n = np.uintp(points)
+    per_segment = 1.0 / length
+    string_length = (float(n) - 1.0) * length
     for block in range(first, last):
         rows = buffers[block]
-        own = values[block]
-        n = np.uintp(points)
+        parameters = values[block]
         dt = tick / steps[block]
-        per_segment = 1.0 / length
         candidate = np.uintp(block) * LANES
         record(rows, n, candidate, 0, out, alive[block])
-        for c in range(hands.shape[0]):
-            hand = hands[c, block * hands_per_block]
-            for q in range(steps[block]):
+        for tick_number in range(hands.shape[0]):
+            hand = hands[tick_number, block * hands_per_block]
+            for step in range(steps[block]):
                 for stage in range(len(STAGE_TIMES)):
-                    fraction = (q + STAGE_TIMES[stage]) / steps[block]
-                    t = start + (c + fraction) * tick
+                    fraction = (step + STAGE_TIMES[stage]) / steps[block]
+                    t = start + (tick_number + fraction) * tick
                     for lane in range(LANES):
                         move_hand(rows, hand, lane, fraction, tick)
                     # One pass: from the grasp to the tip, moving each point once both its segments are known.
                     for lane in range(LANES):
-                        angle, omega = measure_segment(rows, own, lane, lane, per_segment, 0.5 * length)
-                        bend_grasp(rows, own, lane, lane, angle, omega, dt, stage)
+                        measure_segment(rows, parameters, lane, lane, per_segment, 0.5 * length)
+                        bend_grasp(rows, parameters, lane, lane, dt, stage)
                     for lane in range(LANES):
                         ahead = NEXT + lane
-                        angle, omega = measure_segment(rows, own, lane, ahead, per_segment, 1.5 * length)
-                        couple = bend_hinge(
-                            rows, own, lane, ahead, lane, angle, omega, n, length, per_segment, length, dt, stage
-                        )
-                        force_of_segment(rows, lane, couple)
+                        measure_segment(rows, parameters, lane, ahead, per_segment, 1.5 * length)
+                        bend_hinge(rows, parameters, lane, ahead, per_segment, length, string_length, dt, stage)
+                        force_of_segment(rows, lane)
                     for i in range(TWO, n - ONE):
                         s_middle = (float(i) + 0.5) * length
                         s_hinge = float(i) * length
@@ -253,24 +251,22 @@ def run(first, last, buffers, values, hands, hands_per_block, points, length, st
                         for lane in range(LANES):
                             ahead = i * NEXT + lane
                             point = ahead - NEXT
-                            angle, omega = measure_segment(rows, own, lane, ahead, per_segment, s_middle)
-                            couple = bend_hinge(
-                                rows, own, lane, ahead, point, angle, omega, n, length, per_segment, s_hinge, dt, stage
-                            )
-                            fx, fy = force_of_segment(rows, point, couple)
-                            move_point(rows, own, lane, point, fx, fy, s_point, dt, t, stage)
-                    # The last two points: no hinge, and beyond the tip no segment.
+                            measure_segment(rows, parameters, lane, ahead, per_segment, s_middle)
+                            bend_hinge(rows, parameters, lane, ahead, per_segment, s_hinge, string_length, dt, stage)
+                            fx, fy = force_of_segment(rows, point)
+                            move_point(rows, parameters, lane, point, fx, fy, s_point, dt, t, stage)
+                    # The last two points: the tip has no hinge, whose moment stays 0, and no segment beyond it.
                     for lane in range(LANES):
-                        point = (n - TWO) * NEXT + lane
-                        fx, fy = force_of_segment(rows, point, 0.0)
-                        move_point(rows, own, lane, point, fx, fy, (float(n) - 2.0) * length, dt, t, stage)
-                        point += NEXT
-                        rows[TANGENT_X + point] = rows[TANGENT_X + point - NEXT]
-                        rows[TANGENT_Y + point] = rows[TANGENT_Y + point - NEXT]
-                        move_point(rows, own, lane, point, 0.0, 0.0, (float(n) - 1.0) * length, dt, t, stage)
+                        tip = (n - ONE) * NEXT + lane
+                        point = tip - NEXT
+                        fx, fy = force_of_segment(rows, point)
+                        move_point(rows, parameters, lane, point, fx, fy, (float(n) - 2.0) * length, dt, t, stage)
+                        rows[TANGENT_X + tip] = rows[TANGENT_X + point]
+                        rows[TANGENT_Y + tip] = rows[TANGENT_Y + point]
+                        move_point(rows, parameters, lane, tip, 0.0, 0.0, string_length, dt, t, stage)
                     {{ solve | indent(20) }}
             for lane in range(LANES):
                 move_hand(rows, hand, lane, 1.0, tick)
-            if not record(rows, n, candidate, c + 1, out, alive[block]):
+            if not record(rows, n, candidate, tick_number + 1, out, alive[block]):
                 break
 '''
