@@ -1,97 +1,118 @@
 """The solve of the implicit leapfrog, as a template (Jinja).
 
-Its text runs after each pass.
+Its text runs after each pass. It finds the change of velocity dv_i of each point from
 
-`implicit_leapfrog.py` derives the matrix, which couples a point to two neighbours on
-each side. It is eliminated from the grasp to the tip in blocks of two by two, then
-solved backwards. Rows, for each point: U the block to the next point, Q = D^-1 U and z
-= D^-1 e with D the eliminated diagonal block, and DV the change of velocity, which
-holds the acceleration first. U, Q, z and DV of the grasp are zero.
+    A_{i,i-2} dv_{i-2} + ... + A_{i,i+2} dv_{i+2} = m_i dt a_i,
+
+where a symmetric block of two by two couples point i to two neighbours on each side.
+With the matrix of `implicit_leapfrog.py`, B_i of hinge i, e_i of the segment that
+starts at point i, and S_i its averaged stiffness with both its hinges,
+
+    A_{i,i}   = m_i + S_{i-1} + S_i + B_i (e_{i-1} e_i' + e_i e_{i-1}')
+    A_{i,i+1} = -S_i - B_i e_{i-1} e_i' - B_{i+1} e_i e_{i+1}'
+    A_{i,i+2} = B_{i+1} e_i e_{i+1}'.
+
+Block elimination from the grasp to the tip (Golub and Van Loan, Matrix Computations,
+4.5) leaves, with D_i the eliminated diagonal block,
+
+    D_i  = A_{i,i} - U_{i-1}' Q_{i-1} - B_{i-1}^2 (e_{i-2} . z_{i-2}) e_{i-1} e_{i-1}'
+    U_i  = A_{i,i+1} - B_i U_{i-1}' z_{i-1} e_i'
+    r_i  = m_i dt a_i - U_{i-1}' y_{i-1} - B_{i-1} (e_{i-2} . y_{i-2}) e_{i-1}
+    Q_i  = D_i^-1 U_i,  z_i = D_i^-1 e_i,  y_i = D_i^-1 r_i,
+
+and substitution back from the tip
+
+    dv_i = y_i - Q_i dv_{i+1} - B_{i+1} (e_{i+1} . dv_{i+2}) z_i.
+
+Rows TURN have e. Rows DV have first a, then y, then dv. U, Q, z and DV of the grasp are
+zero. What runs twice is a macro: a solve of functions took 1.8 s more to compile.
 """
 
 BLOCK_SOLVE = """\
 {% macro eliminate() %}
-# what the two points before leave here
-u11 = rows[U11 + point]
-u12 = rows[U12 + point]
-u21 = rows[U21 + point]
-u22 = rows[U22 + point]
-bx = rows[TURN_X + point]
-by = rows[TURN_Y + point]
-impulse = rows[MASS + ahead] * dt
-rx = impulse * rows[DVX + ahead] - u11 * rows[DVX + point] - u21 * rows[DVY + point] - spin * bx
-ry = impulse * rows[DVY + ahead] - u12 * rows[DVX + point] - u22 * rows[DVY + point] - spin * by
-# the diagonal block
-ex = rows[TURN_X + ahead]
-ey = rows[TURN_Y + ahead]
-bend = rows[BENDING + ahead]
-d11 = rows[MASS + ahead] + rows[S11 + point] + rows[S11 + ahead] + 2.0 * bend * bx * ex - turn * bx * bx
-d12 = rows[S12 + point] + rows[S12 + ahead] + bend * (bx * ey + by * ex) - turn * bx * by
-d22 = rows[MASS + ahead] + rows[S22 + point] + rows[S22 + ahead] + 2.0 * bend * by * ey - turn * by * by
-d11 -= u11 * rows[Q11 + point] + u21 * rows[Q21 + point]
-d12 -= u11 * rows[Q12 + point] + u21 * rows[Q22 + point]
-d22 -= u12 * rows[Q12 + point] + u22 * rows[Q22 + point]
-# the block to the next point
-bx = bend * (bx + u11 * rows[ZX + point] + u21 * rows[ZY + point])
-by = bend * (by + u12 * rows[ZX + point] + u22 * rows[ZY + point])
-cx = rows[BENDING + ahead + NEXT] * rows[TURN_X + ahead + NEXT]
-cy = rows[BENDING + ahead + NEXT] * rows[TURN_Y + ahead + NEXT]
-u11 = -rows[S11 + ahead] - bx * ex - cx * ex
-u12 = -rows[S12 + ahead] - bx * ey - cy * ex
-u21 = -rows[S12 + ahead] - by * ex - cx * ey
-u22 = -rows[S22 + ahead] - by * ey - cy * ey
+# softening: B_{i-1}^2 (e_{i-2} . z_{i-2}). impulse_before: B_{i-1} (e_{i-2} . y_{i-2}).
+u11 = rows[U11 + before]
+u12 = rows[U12 + before]
+u21 = rows[U21 + before]
+u22 = rows[U22 + before]
+bx = rows[TURN_X + before]
+by = rows[TURN_Y + before]
+impulse = rows[MASS + point] * dt
+rx = impulse * rows[DVX + point] - u11 * rows[DVX + before] - u21 * rows[DVY + before] - impulse_before * bx
+ry = impulse * rows[DVY + point] - u12 * rows[DVX + before] - u22 * rows[DVY + before] - impulse_before * by
+# D
+ex = rows[TURN_X + point]
+ey = rows[TURN_Y + point]
+bend = rows[BENDING + point]
+d11 = rows[MASS + point] + rows[S11 + before] + rows[S11 + point] + 2.0 * bend * bx * ex - softening * bx * bx
+d12 = rows[S12 + before] + rows[S12 + point] + bend * (bx * ey + by * ex) - softening * bx * by
+d22 = rows[MASS + point] + rows[S22 + before] + rows[S22 + point] + 2.0 * bend * by * ey - softening * by * by
+d11 -= u11 * rows[Q11 + before] + u21 * rows[Q21 + before]
+d12 -= u11 * rows[Q12 + before] + u21 * rows[Q22 + before]
+d22 -= u12 * rows[Q12 + before] + u22 * rows[Q22 + before]
+# U = -S - g e' - e h', with g = B_i (e_{i-1} + U_{i-1}' z_{i-1}) and h = B_{i+1} e_{i+1}
+gx = bend * (bx + u11 * rows[ZX + before] + u21 * rows[ZY + before])
+gy = bend * (by + u12 * rows[ZX + before] + u22 * rows[ZY + before])
+hx = rows[BENDING + point + NEXT] * rows[TURN_X + point + NEXT]
+hy = rows[BENDING + point + NEXT] * rows[TURN_Y + point + NEXT]
+u11 = -rows[S11 + point] - gx * ex - hx * ex
+u12 = -rows[S12 + point] - gx * ey - hy * ex
+u21 = -rows[S12 + point] - gy * ex - hx * ey
+u22 = -rows[S22 + point] - gy * ey - hy * ey
+# Q, z and y, by the adjugate of D
 inverse = 1.0 / (d11 * d22 - d12 * d12)
 d11 *= inverse
 d12 *= inverse
 d22 *= inverse
-rows[U11 + ahead] = u11
-rows[U12 + ahead] = u12
-rows[U21 + ahead] = u21
-rows[U22 + ahead] = u22
-rows[Q11 + ahead] = d22 * u11 - d12 * u21
-rows[Q12 + ahead] = d22 * u12 - d12 * u22
-rows[Q21 + ahead] = d11 * u21 - d12 * u11
-rows[Q22 + ahead] = d11 * u22 - d12 * u12
-rows[ZX + ahead] = d22 * ex - d12 * ey
-rows[ZY + ahead] = d11 * ey - d12 * ex
-rows[DVX + ahead] = d22 * rx - d12 * ry
-rows[DVY + ahead] = d11 * ry - d12 * rx
+rows[U11 + point] = u11
+rows[U12 + point] = u12
+rows[U21 + point] = u21
+rows[U22 + point] = u22
+rows[Q11 + point] = d22 * u11 - d12 * u21
+rows[Q12 + point] = d22 * u12 - d12 * u22
+rows[Q21 + point] = d11 * u21 - d12 * u11
+rows[Q22 + point] = d11 * u22 - d12 * u12
+rows[ZX + point] = d22 * ex - d12 * ey
+rows[ZY + point] = d11 * ey - d12 * ex
+rows[DVX + point] = d22 * rx - d12 * ry
+rows[DVY + point] = d11 * ry - d12 * rx
 {% endmacro %}
-# Phase 6: the solve. The averaged stiffness of each segment, S, and how its angle turns with its end, e.
+# Phase 6: the solve. S and e of each segment.
 for i in range(n - ONE):
     for lane in range(LANES):
-        ahead = i * NEXT + lane
-        tx = rows[TANGENT_X + ahead]
-        ty = rows[TANGENT_Y + ahead]
-        inverse = rows[INVERSE_LENGTH + ahead]
-        pull = rows[TENSION + ahead] if rows[TENSION + ahead] > 0.0 else 0.0
+        segment = i * NEXT + lane
+        tx = rows[TANGENT_X + segment]
+        ty = rows[TANGENT_Y + segment]
+        inverse = rows[INVERSE_LENGTH + segment]
+        pull = rows[TENSION + segment] if rows[TENSION + segment] > 0.0 else 0.0
         along = rows[AXIAL + lane]
-        across = (0.25 * dt * dt * pull + (rows[BENDING + ahead] + rows[BENDING + ahead + NEXT]) * inverse) * inverse
-        rows[TURN_X + ahead] = -ty * inverse
-        rows[TURN_Y + ahead] = tx * inverse
-        rows[S11 + ahead] = along * tx * tx + across * ty * ty
-        rows[S12 + ahead] = (along - across) * tx * ty
-        rows[S22 + ahead] = along * ty * ty + across * tx * tx
+        hinges = rows[BENDING + segment] + rows[BENDING + segment + NEXT]
+        across = (0.25 * dt * dt * pull + hinges * inverse) * inverse
+        rows[TURN_X + segment] = -ty * inverse
+        rows[TURN_Y + segment] = tx * inverse
+        rows[S11 + segment] = along * tx * tx + across * ty * ty
+        rows[S12 + segment] = (along - across) * tx * ty
+        rows[S22 + segment] = along * ty * ty + across * tx * tx
 # Elimination from the grasp to the tip. The first free point is taken by itself, for nothing is two points before it,
 # and the vector units need rows at distances that are known when compiling.
 for lane in range(LANES):
-    ahead = NEXT + lane
-    point = lane
-    turn = 0.0
-    spin = 0.0
+    point = NEXT + lane
+    before = lane
+    softening = 0.0
+    impulse_before = 0.0
     {{ eliminate() | indent }}
 for i in range(TWO, n):
     for lane in range(LANES):
-        ahead = i * NEXT + lane
-        point = ahead - NEXT
-        # what the second point before leaves here
-        ex = rows[TURN_X + point - NEXT]
-        ey = rows[TURN_Y + point - NEXT]
-        bend = rows[BENDING + point]
-        turn = bend * bend * (ex * rows[ZX + point - NEXT] + ey * rows[ZY + point - NEXT])
-        spin = bend * (ex * rows[DVX + point - NEXT] + ey * rows[DVY + point - NEXT])
+        point = i * NEXT + lane
+        before = point - NEXT
+        second = before - NEXT
+        ex = rows[TURN_X + second]
+        ey = rows[TURN_Y + second]
+        bend = rows[BENDING + before]
+        softening = bend * bend * (ex * rows[ZX + second] + ey * rows[ZY + second])
+        impulse_before = bend * (ex * rows[DVX + second] + ey * rows[DVY + second])
         {{ eliminate() | indent(8) }}
-# Back from the tip: the changes of all velocities, and with them all positions.
+# Back from the tip: dv of each point, and with it velocity and position.
 for i in range(ONE, n):
     for lane in range(LANES):
         point = (n - i) * NEXT + lane
