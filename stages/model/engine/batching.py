@@ -60,16 +60,21 @@ def compile_step_loop(
     -------
     callable
         `run(buffers, values=, hands=, ...)`, see `step_loop_template.py`, for all
-        blocks, on as many threads as Numba is set to use.
+        blocks, on as many threads as Numba is set to use. Buffers are (blocks, points,
+        rows, lanes) and values (blocks, parameters, lanes).
     """
     source = generate_source(effects, row_names, integrator, lanes)
     run_blocks = import_generated_module(source).run
 
-    def run(buffers: np.ndarray, **arguments: Any) -> None:
-        def work(first: int, last: int) -> None:
-            run_blocks(first, last, buffers, **arguments)
+    def run(buffers: np.ndarray, values: np.ndarray, **arguments: Any) -> None:
+        blocks = len(buffers)
+        flat = buffers.reshape(blocks, -1), values.reshape(blocks, -1)
+        alive = np.ones((blocks, lanes), dtype=bool)
 
-        parallel_for(work, len(buffers))
+        def work(first: int, last: int) -> None:
+            run_blocks(first, last, *flat, alive=alive, **arguments)
+
+        parallel_for(work, blocks)
 
     return run
 

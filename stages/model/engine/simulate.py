@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -74,21 +74,18 @@ class InitialConfiguration:
     rest_angles : ndarray of shape (C, n - 1)
         Angles at which the memory of hinges is empty: where the string would hang at
         rest [rad].
+    is_at_rest : bool
+        Whether the strings hang at rest.
+    memory_reversal : float or ndarray of shape (C, 1)
+        As `StringState.memory_reversal`.
     """
 
     angles: np.ndarray
     lengths: np.ndarray
     velocity: np.ndarray
     rest_angles: np.ndarray
-
-    def for_candidates(self, chosen: np.ndarray) -> InitialConfiguration:
-        """Return the configurations of some candidates, by number."""
-        return InitialConfiguration(
-            self.angles[chosen],
-            self.lengths[chosen],
-            self.velocity[chosen],
-            self.rest_angles[chosen],
-        )
+    is_at_rest: bool
+    memory_reversal: float | np.ndarray
 
 
 def simulate(
@@ -143,15 +140,17 @@ def simulate(
     for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
         chosen = np.flatnonzero(possible & (steps == group_steps))
         group_material = material[chosen]
-        grasp = hand.for_candidates(chosen)
+        grasp = _free_string_hand(string, group_material, hand.for_candidates(chosen))
+        if initial is None:
+            start = _configuration_at_rest(string, group_material, grasp, turn[chosen])
+        else:
+            state = initial.for_candidates(chosen)
+            start = _configuration_from_state(
+                string, group_material, grasp, state, turn[chosen]
+            )
+        group_gentlest = gentlest[..., chosen]
         ticks = _run_candidates(
-            string,
-            group_material,
-            gentlest[..., chosen],
-            _free_string_hand(string, group_material, grasp),
-            int(group_steps),
-            None if initial is None else initial.for_candidates(chosen),
-            turn[chosen],
+            string, group_material, group_gentlest, grasp, int(group_steps), start
         )
         end = last
         moments = position
@@ -206,10 +205,9 @@ def _run_candidates(
     gentlest: np.ndarray,
     hand: HandMotion,
     steps: int,
-    initial: StringState | None,
-    turn: np.ndarray,
+    start: InitialConfiguration,
 ) -> np.ndarray:
-    """Run candidates that share a step.
+    """Run candidates that share a step from the start.
 
     gentlest: rise of the laws, as `sampled_slopes`, (2, 3, C).
 
@@ -220,94 +218,86 @@ def _run_candidates(
     compiled, compiled_material = string.with_compiled_effects(material)
     loop = (compiled.effects, compiled.row_names, string.integrator)
     lanes = batching.lane_count(count, *loop)
-    blocks = -(-count // lanes)
     dt = hand.tick / steps
-
-    start = _initial_configuration(string, material, hand, initial, turn)
-    # the last block is filled up with the last candidate
-    index = np.minimum(np.arange(blocks * lanes), count - 1)
-    start = start.for_candidates(index)
-    material = material[index]
-    compiled_material = compiled_material[index]
-    hand = hand.for_candidates(index)
     first_pose = hand.pose[:, 0]
-    reversal = np.zeros(count)
-    if initial is not None:
-        reversal = np.broadcast_to(initial.memory_reversal, count)
-
     rows = {
         **_configuration_rows(first_pose, start),
-        **_constant_rows(string, material, gentlest[..., index], dt),
-        **_memory_rows(
-            compiled,
-            compiled_material,
-            first_pose[:, 2],
-            start,
-            reversal[index][:, None],
-        ),
+        **_constant_rows(string, material, gentlest, dt),
+        **_memory_rows(compiled, compiled_material, first_pose[:, 2], start),
     }
     numbers = row_numbers(string.integrator, compiled.effects)
     buffers = _fill_buffers(numbers, rows, string.points, lanes)
-
-    # The loop loads a number of all candidates of a block at once: lanes stand last,
-    # side by side.
-    parameters = _by_lane(compiled_material, lanes)
     cubic = _hermite_coefficients(hand, lanes)
     run = partial(
         batching.compile_step_loop(*loop, lanes),
-        values=np.ascontiguousarray(parameters).reshape(blocks, -1),
+        values=_by_lane(compiled_material, lanes),
         hands_per_block=int(len(hand.pose) > 1),
         start=hand.start,
         points=string.points,
         length=string.segment_length,
     )
-    if initial is not None and string.integrator.velocity_lag:
-        _stagger_velocities(string, run, numbers, buffers, cubic, dt, steps, lanes)
-    out = np.empty((count, cubic.shape[0] + 1, string.points, 2))
-    run(
-        buffers,
-        hands=cubic,
-        steps=np.full(blocks, steps),
-        tick=hand.tick,
-        out=out,
-        alive=np.ones((blocks, lanes), dtype=bool),
-    )
+
+    # The integrator keeps velocities that lag behind positions. From a step that is
+    # tried on a copy, v(-lag dt) = v(0) - lag (v(dt) - v(0)). At rest all are zero.
+    lag = string.integrator.velocity_lag
+    if lag and not start.is_at_rest:
+        powers = (1.0 / steps) ** (np.arange(12) % 4)
+        first_step = cubic[:1] * np.repeat(powers, lanes)
+        stepped = buffers.copy()
+        ignored = np.empty((0, 2, string.points, 2))
+        run(stepped, hands=first_step, steps=1, tick=dt, out=ignored)
+        velocity = [numbers["VX"], numbers["VY"]]
+        change = stepped[:, :, velocity] - buffers[:, :, velocity]
+        buffers[:, :, velocity] -= lag * change
+
+    out = np.empty((count, len(cubic) + 1, string.points, 2))
+    run(buffers, hands=cubic, steps=steps, tick=hand.tick, out=out)
     return out
 
 
 def _by_lane(rows: np.ndarray, lanes: int) -> np.ndarray:
-    """Put candidates side by side: from (C, M) to (blocks, M, lanes)."""
-    return rows.reshape(-1, lanes, rows.shape[1]).transpose(0, 2, 1)
+    """Put candidates side by side: from (C, M) to (blocks, M, lanes).
+
+    The last block is filled up with the last candidate.
+    """
+    blocks = -(-len(rows) // lanes)
+    index = np.minimum(np.arange(blocks * lanes), len(rows) - 1)
+    side_by_side = rows[index].reshape(blocks, lanes, -1).transpose(0, 2, 1)
+    return np.ascontiguousarray(side_by_side)
 
 
-def _initial_configuration(
+def _configuration_at_rest(
+    string: String, material: np.ndarray, hand: HandMotion, turn: np.ndarray
+) -> InitialConfiguration:
+    """Find how strings hang at rest at the hand's first pose."""
+    active, active_material = string.without_absent_effects(material)
+    angles, lengths = hanging_shape(active, active_material, hand.pose[:, 0], turn)
+    velocity = np.zeros((len(material), string.points, 2))
+    return InitialConfiguration(angles, lengths, velocity, angles, True, 0.0)
+
+
+def _configuration_from_state(
     string: String,
     material: np.ndarray,
     hand: HandMotion,
-    initial: StringState | None,
+    state: StringState,
     turn: np.ndarray,
 ) -> InitialConfiguration:
-    """Find how strings lie and move at first: at rest, or as `initial` says.
+    """Find how strings lie and move in a state.
 
     Each candidate is stretched as it would be if it hung there at rest: released
     without strain, a string would ring.
     """
     count, segments = len(material), string.points - 1
     pose, rate = hand.pose[:, 0], hand.rate[:, 0]
-    active, active_material = string.without_absent_effects(material)
-    if initial is None:
-        angles, lengths = hanging_shape(active, active_material, pose, turn)
-        at_rest = np.zeros((count, string.points, 2))
-        return InitialConfiguration(angles, lengths, at_rest, rest_angles=angles)
-
     middles = string.segment_middles()
     hidden = (string.free_length_ratio(material) - 1) * string.length
     if np.any(hidden):
         before = hidden + grasp_compliance_length(string, material)
-        initial = initial.extend_before_grasp(before, pose[:, 2], rate[:, 2])
+        state = state.extend_before_grasp(before, pose[:, 2], rate[:, 2])
         segment_length = string.free_segment_lengths(material)[:, None]
         middles = segment_length * (np.arange(segments) + 0.5) - hidden[:, None]
-    angles, turn_rates = initial.segment_angles_and_rates(middles)
+    angles, turn_rates = state.segment_angles_and_rates(middles)
     angles = np.broadcast_to(angles, (count, segments))
     turn_rates = np.broadcast_to(turn_rates, (count, segments))
     lengths = stretched_lengths(string, material, pose, angles)
@@ -319,42 +309,9 @@ def _initial_configuration(
 
     rest_angles = angles
     if any(string.memory_count(slot) for slot in MEMORY_SLOTS):
-        rest_angles, _ = hanging_shape(active, active_material, pose, turn)
-    return InitialConfiguration(angles, lengths, velocity, rest_angles)
-
-
-def _stagger_velocities(
-    string: String,
-    run: Callable[..., None],
-    numbers: Mapping[str, int],
-    buffers: np.ndarray,
-    cubic: np.ndarray,
-    dt: float,
-    steps: int,
-    lanes: int,
-) -> None:
-    """Set velocities to the time at which the integrator keeps them, in place.
-
-    A step is tried on a copy. With a the steps by which velocities lag behind
-    positions, v(-a dt) = v(0) - a (v(dt) - v(0)). At rest all velocities are zero, so
-    this is not needed.
-    """
-    blocks = len(buffers)
-    powers = (1.0 / steps) ** (np.arange(12) % 4)
-    stepped = buffers.copy()
-    run(
-        stepped,
-        hands=cubic[:1] * np.repeat(powers, lanes),
-        steps=np.ones(blocks, dtype=int),
-        tick=dt,
-        out=np.empty((0, 2, string.points, 2)),
-        alive=np.ones((blocks, lanes), dtype=bool),
-    )
-    shape = (blocks, -1, len(numbers), lanes)
-    now, later = buffers.reshape(shape), stepped.reshape(shape)
-    rows = [numbers["VX"], numbers["VY"]]
-    lag = string.integrator.velocity_lag
-    now[:, :, rows] -= lag * (later[:, :, rows] - now[:, :, rows])
+        rest_angles = _configuration_at_rest(string, material, hand, turn).angles
+    reversal = np.reshape(state.memory_reversal, (-1, 1))
+    return InitialConfiguration(angles, lengths, velocity, rest_angles, False, reversal)
 
 
 def _configuration_rows(
@@ -406,16 +363,18 @@ def _constant_rows(
 def _fill_buffers(
     numbers: Mapping[str, int], rows: Mapping[str, np.ndarray], points: int, lanes: int
 ) -> np.ndarray:
-    """Fill the kernel's buffers with rows (C, 1 to n), by name, (blocks, size).
+    """Fill the kernel's buffers with rows (C, 1 to n), by name.
+
+    They are (blocks, points, rows, lanes).
 
     numbers: of the rows, by name. A row that is not given is zero.
     """
-    blocks = len(rows["X"]) // lanes
+    blocks = -(-len(rows["X"]) // lanes)
     padded = points + batching.PADDING_POINTS
     buffers = batching.aligned_zeros((blocks, padded, len(numbers), lanes))
     for name, row in rows.items():
         buffers[:, : row.shape[1], numbers[name]] = _by_lane(row, lanes)
-    return buffers.reshape(blocks, -1)
+    return buffers
 
 
 def _memory_rows(
@@ -423,15 +382,13 @@ def _memory_rows(
     material: np.ndarray,
     theta: np.ndarray,
     start: InitialConfiguration,
-    reversal: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Find what hinges with a memory are bent to and remember, (C, n - 1) each.
 
     The grasp's hinge comes first. The string was pulled slowly from its rest angles, at
     which it remembers nothing, to its first angles.
 
-    theta: (1 or C,) of the hand [rad]. reversal: (C, 1), as
-    `StringState.memory_reversal`.
+    theta: (1 or C,) of the hand [rad].
     """
     count = max(string.memory_count(slot) for slot in MEMORY_SLOTS)
     if not count:
@@ -453,7 +410,7 @@ def _memory_rows(
         reversed_memory = string.updated_memory(slot, material, back, pulled_memory)
         for i, memory in enumerate(pulled_memory):
             change = reversed_memory[i] - memory
-            rows[f"MEMORY{i}"][:, hinges] = memory + reversal * change
+            rows[f"MEMORY{i}"][:, hinges] = memory + start.memory_reversal * change
     return rows
 
 
@@ -469,9 +426,9 @@ def _hermite_coefficients(hand: HandMotion, lanes: int) -> np.ndarray:
     third = 2 * (p0 - p1) + v0 + v1
     coefficients = np.stack([p0, v0, second, third], axis=-1)
     hands, ticks = coefficients.shape[:2]
-    cubic = coefficients.reshape(hands, ticks, 12).transpose(1, 2, 0)
-    cubic = np.ascontiguousarray(cubic)
     if hands == 1:
-        cubic = np.repeat(cubic, lanes, axis=2)
-    blocks = cubic.reshape(ticks, 12, -1, lanes).transpose(0, 2, 1, 3)
-    return blocks.reshape(ticks, -1, 12 * lanes)
+        one = coefficients.reshape(ticks, 1, 12)
+        return np.repeat(one, lanes, axis=2)
+    blocks = _by_lane(coefficients.reshape(hands, -1), lanes)
+    by_tick = blocks.reshape(-1, ticks, 12 * lanes).swapaxes(0, 1)
+    return np.ascontiguousarray(by_tick)

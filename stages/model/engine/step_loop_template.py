@@ -217,21 +217,21 @@ def record(rows, n, first, tick_number, out, alive):
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
 def run(first, last, buffers, values, hands, hands_per_block, points, length, steps, tick, start, out, alive):
     # Blocks first to last - 1. buffers (blocks, size), values (blocks, parameters * lanes), hands (ticks, blocks or 1,
-    # 12 * lanes), steps (blocks,) in a tick, out (candidates, ticks + 1, n, 2), alive (blocks, lanes).
+    # 12 * lanes), out (candidates, ticks + 1, n, 2), alive (blocks, lanes).
     n = np.uintp(points)
+    dt = tick / steps
     per_segment = 1.0 / length
     string_length = (float(n) - 1.0) * length
     for block in range(first, last):
         rows = buffers[block]
         parameters = values[block]
-        dt = tick / steps[block]
         candidate = np.uintp(block) * LANES
         record(rows, n, candidate, 0, out, alive[block])
         for tick_number in range(hands.shape[0]):
             hand = hands[tick_number, block * hands_per_block]
-            for step in range(steps[block]):
+            for step in range(steps):
                 for stage in range(len(STAGE_TIMES)):
-                    fraction = (step + STAGE_TIMES[stage]) / steps[block]
+                    fraction = (step + STAGE_TIMES[stage]) / steps
                     t = start + (tick_number + fraction) * tick
                     for lane in range(LANES):
                         move_hand(rows, hand, lane, fraction, tick)
