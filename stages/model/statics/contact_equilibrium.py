@@ -84,35 +84,40 @@ def contact_shape(
 def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     """Choose how much of a step (C, 2 n - 2) to take, (C,).
 
-    It is the whole step, or about as much as the energy falls along it. It is not much
-    less either, since only a string that touches something feels it. The fraction is
-    found by the Illinois variant of false position: each end counts for half as much
-    with every iteration in which it stays.
+    It is as much as MAX_TURN_RAD allows. Where the energy then rises steeply, the place
+    is sought at which it is nearly flat, by the Illinois variant of false position
+    (Dowell and Jarratt 1971, BIT 11, 168): the fall at an end of the bracket that stays
+    is halved. The fraction is not much less than that place either, since only a string
+    that touches something feels it.
     """
     largest_turn = np.abs(step[:, : strings.angles.shape[1]]).max(axis=1)
     fraction: np.ndarray = np.minimum(
         1.0, MAX_TURN_RAD / np.maximum(largest_turn, 1e-300)
     )
-    least = MAX_END_SLOPE_SHARE * np.sum(strings.residual * step, axis=1)
-    ends = np.stack([0 * fraction, fraction])
-    first_fall = _energy_fall_rate(strings, step, fraction)
-    falls = np.stack([least / MAX_END_SLOPE_SHARE, first_fall])
-    open_ends = np.flatnonzero((falls[1] < -least) & (least > 0))
+    fall_before = np.sum(strings.residual * step, axis=1)
+    fall_after = _energy_fall_rate(strings, step, fraction)
+    flat = MAX_END_SLOPE_SHARE * fall_before
+    searching = np.flatnonzero((fall_after < -flat) & (flat > 0))
+
+    bracket = np.stack([0 * fraction, fraction])  # (2, C): it falls, it rises
+    falls = np.stack([fall_before, fall_after])
     for _ in range(MAX_STEP_REDUCTIONS):
-        if open_ends.size == 0:
+        if searching.size == 0:
             break
-        low, high = ends[:, open_ends]
-        down, up = falls[:, open_ends]
+        low, high = bracket[:, searching]
+        fall_low, fall_high = falls[:, searching]
         # on an end it would stand still
-        share = np.clip(down / (down - up), 0.02, 0.98)
-        fraction[open_ends] = low + (high - low) * share
-        some = strings.for_candidates(open_ends)
-        fall = _energy_fall_rate(some, step[open_ends], fraction[open_ends])
-        side = (fall <= 0).astype(int)
-        ends[side, open_ends] = fraction[open_ends]
-        falls[side, open_ends] = fall
-        falls[1 - side, open_ends] /= 2
-        open_ends = open_ends[np.abs(fall) > least[open_ends]]
+        share = np.clip(fall_low / (fall_low - fall_high), 0.02, 0.98)
+        middle = low + (high - low) * share
+        fall = _energy_fall_rate(
+            strings.for_candidates(searching), step[searching], middle
+        )
+        end = (fall <= 0).astype(int)
+        bracket[end, searching] = middle
+        falls[end, searching] = fall
+        falls[1 - end, searching] /= 2
+        fraction[searching] = middle
+        searching = searching[np.abs(fall) > flat[searching]]
     return fraction
 
 
@@ -217,15 +222,16 @@ class _RelaxingStrings:
         Where the matrix is not positive definite, forces that destabilise are left out
         of it, so that a step never ends on a ridge of the energy.
         """
-        yielding = self._position_stiffness()
+        position_stiffness = self._position_stiffness()
         along = self.lengths * self.force_along
         across = self.force_across
-        matrix = self._local_matrix(along, across) - yielding
-        stable = np.array([_is_positive_definite(block) for block in matrix])
-        if not stable.all():
-            pulls = np.maximum(along, MIN_TURN_STIFFNESS)
-            held = self._local_matrix(pulls, np.zeros_like(across)) - yielding
-            matrix = np.where(stable[:, None, None], matrix, held)
+        matrix = self._local_matrix(along, across) - position_stiffness
+        is_stable = np.array([_is_positive_definite(block) for block in matrix])
+        if not is_stable.all():
+            stabilising = np.maximum(along, MIN_TURN_STIFFNESS)
+            stable = self._local_matrix(stabilising, np.zeros_like(across))
+            stable -= position_stiffness
+            matrix = np.where(is_stable[:, None, None], matrix, stable)
         return np.linalg.solve(matrix, self.residual[..., None])[..., 0]
 
     def _local_matrix(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -257,21 +263,24 @@ class _RelaxingStrings:
         l_m n_m, and likewise for stretches.
         """
         tangent, positions = self.tangents_and_positions
-        count = len(tangent)
+        count, segments = self.angles.shape
         offsets = FORCE_DIFFERENCE_STEP_M * np.array(DIFFERENCE_DIRECTIONS)
-        four = self.chain.for_candidates(np.tile(np.arange(count), 4))
         moved = np.concatenate([positions + offset for offset in offsets])
-        forces = static_point_forces(four, moved, np.tile(tangent, (4, 1, 1)))
-        ahead, behind = forces.reshape(2, 2, *positions.shape)
-        slope = (ahead - behind) / (2 * FORCE_DIFFERENCE_STEP_M)
-        change = np.moveaxis(slope, 0, -1)  # K, (C, n - 1, 2, 2)
-        order = np.arange(self.angles.shape[1])
-        both = sum_to_tip(change)[:, np.maximum.outer(order, order)]
+        moved_chain = self.chain.for_candidates(np.tile(np.arange(count), 4))
+        forces = static_point_forces(moved_chain, moved, np.tile(tangent, (4, 1, 1)))
+        above, below = forces.reshape(2, 2, *positions.shape)
+        slope = (above - below) / (2 * FORCE_DIFFERENCE_STEP_M)
+        force_per_move = np.moveaxis(slope, 0, -1)  # K, (C, n - 1, 2, 2)
+
+        number = np.arange(segments)
+        farther = np.maximum.outer(number, number)  # of two segments
+        beyond_both = sum_to_tip(force_per_move)[:, farther]
         moves = (self.lengths[..., None] * self.normal, tangent)
         blocks = []
         for row in moves:
-            products = [np.einsum("cja,cjmab,cmb->cjm", row, both, m) for m in moves]
-            blocks.append(products)
+            blocks.append(
+                [np.einsum("cja,cjmab,cmb->cjm", row, beyond_both, m) for m in moves]
+            )
         return np.block(blocks)
 
 

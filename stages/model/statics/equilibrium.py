@@ -178,81 +178,92 @@ def _damped_share(
 def _solve_balance(
     force: np.ndarray,
     angles: np.ndarray,
-    tension: tuple[np.ndarray, np.ndarray, np.ndarray],
-    hinges: tuple[np.ndarray, np.ndarray],
+    tension_tangent: tuple[np.ndarray, np.ndarray, np.ndarray],
+    hinge_tangent: tuple[np.ndarray, np.ndarray],
     segment_length: np.ndarray,
     turn: np.ndarray,
     lengths: np.ndarray,
 ) -> None:
     """Solve the balance of moments of each candidate by Newton's method.
 
-    tension: stretch, and tension and its rise there, (C, N) each. hinges: moments and
-    their rise with the hinge's angle, (C, N + 1) each. turn: zeros, and lengths, (C, N)
-    each, filled in place.
+    tension_tangent: stretch, and tension and its slope there, (C, N) each.
+    hinge_tangent: moments and their slope with the hinge's angle, (C, N + 1) each.
+    turn: zeros, and lengths, (C, N) each, filled in place.
     """
+    stretch, tension, tension_slope = tension_tangent
     count, size = angles.shape
-    balance, diagonal, upper = np.empty(size), np.empty(size), np.empty(size)
+    residual, pull, upper = np.empty(size), np.empty(size), np.empty(size)
     for c in range(count):
-        moment, stiffness = hinges[0][c], hinges[1][c]
+        moment, stiffness = hinge_tangent[0][c], hinge_tangent[1][c]
         for _ in range(MAX_ITERATIONS):
-            most, heaviest, before = 0.0, 0.0, 0.0
+            largest_residual, largest_weight, turn_before = 0.0, 0.0, 0.0
             for j in range(size):
-                cos = np.cos(angles[c, j] + turn[c, j])
-                sin = np.sin(angles[c, j] + turn[c, j])
+                angle = angles[c, j] + turn[c, j]
+                cos, sin = np.cos(angle), np.sin(angle)
                 along = force[c, j, 0] * cos + force[c, j, 1] * sin
-                change = (along - tension[1][c, j]) / tension[2][c, j]
-                stretch = tension[0][c, j] + change
-                lengths[c, j] = segment_length[c] * (1 + max(stretch, MIN_STRETCH))
-                after = (turn[c, j + 1] if j < size - 1 else turn[c, j]) - turn[c, j]
-                bend = turn[c, j] - before
-                before = turn[c, j]
-                balance[j] = (
-                    moment[j + 1]
-                    + stiffness[j + 1] * after
-                    - moment[j]
-                    - stiffness[j] * bend
-                )
                 across = force[c, j, 1] * cos - force[c, j, 0] * sin
-                balance[j] += lengths[c, j] * across
-                diagonal[j] = lengths[c, j] * along
-                most = max(most, abs(balance[j]))
-                heaviest = max(heaviest, abs(lengths[c, j] * force[c, j, 1]))
-            near = most < NEAR_BALANCE_SHARE * heaviest
-            largest = _turn_segments(stiffness, diagonal, balance, upper, near, turn[c])
-            if largest <= ANGLE_TOLERANCE_RAD:
+
+                # Tension carries the pull.
+                change = (along - tension[c, j]) / tension_slope[c, j]
+                balanced_stretch = max(stretch[c, j] + change, MIN_STRETCH)
+                length = segment_length[c] * (1 + balanced_stretch)
+                lengths[c, j] = length
+
+                # M_{j+1} - M_j + l_j n_j . F_j
+                bend = turn[c, j] - turn_before
+                bend_beyond = turn[c, j + 1] - turn[c, j] if j < size - 1 else 0.0
+                turn_before = turn[c, j]
+                moment_beyond = moment[j + 1] + stiffness[j + 1] * bend_beyond
+                residual[j] = moment_beyond - moment[j] - stiffness[j] * bend
+                residual[j] += length * across
+                pull[j] = length * along
+
+                weight = length * force[c, j, 1]
+                largest_residual = max(largest_residual, abs(residual[j]))
+                largest_weight = max(largest_weight, abs(weight))
+
+            is_near = largest_residual < NEAR_BALANCE_SHARE * largest_weight
+            largest_turn = _turn_segments(
+                stiffness, pull, residual, upper, is_near, turn[c]
+            )
+            if largest_turn <= ANGLE_TOLERANCE_RAD:
                 break
 
 
 @compile_kernel
 def _turn_segments(
     stiffness: np.ndarray,
-    along: np.ndarray,
-    balance: np.ndarray,
+    pull: np.ndarray,
+    residual: np.ndarray,
     upper: np.ndarray,
-    near: bool,
+    is_near: bool,
     turn: np.ndarray,
 ) -> float:
-    """Add one Newton step to a candidate's turn (N,); return its largest part.
+    """Add one Newton step d to a candidate's turn (N,) [rad]; return its largest part.
 
-    A symmetric tridiagonal system [rad]. stiffness: (N + 1,). along: (N,) of the pull,
-    which resists a turn. upper: room, (N,).
+    With the pull p_j = l_j t_j . F_j it solves, by the Thomas algorithm,
+
+        -k_j d_{j-1} + (k_j + k_{j+1} + p_j) d_j - k_{j+1} d_{j+1} = residual_j.
+
+    A pull that destabilises counts near the solution only. stiffness: k, (N + 1,).
+    residual: is overwritten. upper: room, (N,).
     """
-    last, most, pivot = len(turn) - 1, 0.0, 1.0
+    last, largest, pivot = len(turn) - 1, 0.0, 1.0
     for j in range(last + 1):
-        pull = along[j] if near else max(along[j], 0.0)
-        diagonal = max(stiffness[j] + stiffness[j + 1] + pull, MIN_TURN_STIFFNESS)
+        resistance = pull[j] if is_near else max(pull[j], 0.0)
+        diagonal = max(stiffness[j] + stiffness[j + 1] + resistance, MIN_TURN_STIFFNESS)
         if j > 0:
             upper[j - 1] = -stiffness[j] / pivot
-            balance[j] += stiffness[j] * balance[j - 1]
+            residual[j] += stiffness[j] * residual[j - 1]
             diagonal += stiffness[j] * upper[j - 1]
         pivot = diagonal
-        balance[j] /= pivot
+        residual[j] /= pivot
     for j in range(last, -1, -1):
         if j < last:
-            balance[j] -= upper[j] * balance[j + 1]
-        most = max(most, abs(balance[j]))
-        turn[j] += min(max(balance[j], -MAX_TURN_RAD), MAX_TURN_RAD)
-    return most
+            residual[j] -= upper[j] * residual[j + 1]
+        largest = max(largest, abs(residual[j]))
+        turn[j] += min(max(residual[j], -MAX_TURN_RAD), MAX_TURN_RAD)
+    return largest
 
 
 def stretched_lengths(
