@@ -248,11 +248,12 @@ class String(Parametrised):
 
         material: (C, rows).
         """
-        string_material = material[:, : len(self.names)]
-        present = np.any(string_material != self._absent_material, axis=0)
+        parameters = material[:, : len(self.names)]
+        is_present = np.any(parameters != self._absent_parameters, axis=0)
         kept = []
-        for effect, places in self._removable_effects.items():
-            if not places or present[places].any():
+        for effect in self.effects:
+            columns = self._removable_effects.get(effect)
+            if columns is None or is_present[columns].any():
                 kept.append(effect)
         return self.with_only_effects(tuple(kept), material)
 
@@ -264,10 +265,10 @@ class String(Parametrised):
             names = _parameter_names(effects)
             ranges = {n: p for n, p in self.ranges.items() if n in names}
             string = replace(self, effects=effects, ranges=ranges)
-            rows = [self.row_names.index(row) for row in string.row_names]
-            self._restricted_strings[effects] = string, np.array(rows)
-        string, places = self._restricted_strings[effects]
-        return string, material[:, places]
+            columns = [self.row_names.index(row) for row in string.row_names]
+            self._restricted_strings[effects] = string, columns
+        string, columns = self._restricted_strings[effects]
+        return string, material[:, columns]
 
     def with_compiled_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
         """Return the string with all jointly compiled effects, and its material.
@@ -279,48 +280,45 @@ class String(Parametrised):
         """
         if not set(PAPER_EFFECTS) < set(self.effects):
             return self, material
-        string, places, absent = self._compiled_string
-        filled = np.repeat(absent[None], len(material), axis=0)
-        filled[:, places] = material
-        return string, filled
+        string, absent_material, columns = self._compiled_string
+        compiled_material = np.tile(absent_material, (len(material), 1))
+        compiled_material[:, columns] = material
+        return string, compiled_material
 
     @cached_property
-    def _compiled_string(self) -> tuple[String, list[int], np.ndarray]:
-        """The compiled string, indices of own rows in it, and its material if absent.
+    def _compiled_string(self) -> tuple[String, np.ndarray, list[int]]:
+        """String with all jointly compiled effects, and how to make its material.
 
-        The last is the material (rows,) at which no effect is present.
+        That is the material (rows,) with all effects absent, and the columns that this
+        string's material takes in it.
         """
         joint = (*PAPER_EFFECTS, *JOINTLY_COMPILED_EFFECTS)
         if set(COSTLY_EFFECTS) & set(self.effects):
             joint = (*joint, *COSTLY_EFFECTS)
         others = [effect for effect in self.effects if effect not in joint]
         string = replace(self, effects=(*joint, *others))
-        places = [string.row_names.index(row) for row in self.row_names]
-        return string, places, string.material(_own_starts(string.effects))
+        columns = [string.row_names.index(row) for row in self.row_names]
+        return string, string.material(_absent_values(string.effects)), columns
 
     @cached_property
-    def _absent_material(self) -> np.ndarray:
-        """Material at which each effect is absent, (P,)."""
-        start = _own_starts(self.effects)
-        return self.material(start)[: len(start)]
+    def _absent_parameters(self) -> np.ndarray:
+        """Parameters in `material` at which each effect is absent, (P,)."""
+        return self.material(_absent_values(self.effects))[: len(self.names)]
 
     @cached_property
     def _removable_effects(self) -> dict[type[StringEffect], list[int]]:
-        """Indices of the parameters of each effect that can be left out where absent.
-
-        Effects that are never left out have an empty list.
-        """
-        removable: dict[type[StringEffect], list[int]] = {}
+        """Effects that may be left out, and the columns of their parameters."""
+        removable = {}
         for effect in self.effects:
-            removable[effect] = []
-            if effect not in PAPER_EFFECTS and not is_position_dependent(effect):
-                for parameter in effect.qualified_parameters():
-                    removable[effect].append(self.names.index(parameter.name))
+            names = [p.name for p in effect.qualified_parameters()]
+            is_kept = effect in PAPER_EFFECTS or is_position_dependent(effect)
+            if names and not is_kept:
+                removable[effect] = [self.names.index(name) for name in names]
         return removable
 
     @cached_property
-    def _restricted_strings(self) -> dict[Effects, tuple[String, np.ndarray]]:
-        """Strings with fewer effects, and the places of their rows."""
+    def _restricted_strings(self) -> dict[Effects, tuple[String, list[int]]]:
+        """Results of `with_only_effects` so far: strings, and columns of material."""
         return {}
 
     # --- geometry -----------------------------------------------------------
@@ -504,8 +502,8 @@ def _parameter_names(effects: Effects) -> set[str]:
     return {p.name for effect in effects for p in effect.qualified_parameters()}
 
 
-def _own_starts(effects: Effects) -> np.ndarray:
-    """Return the start values of all parameters in the effects' own ranges, (P,)."""
+def _absent_values(effects: Effects) -> np.ndarray:
+    """Return the values (P,) at which effects are absent: their own starts."""
     return np.array([p.start for effect in effects for p in effect.parameters])
 
 
