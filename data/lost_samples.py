@@ -102,26 +102,32 @@ def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
     (K,) bool
         True for a repetition.
     """
-    is_held = np.zeros(len(xy), dtype=bool)
-    if len(xy) < MIN_TRACK_SAMPLES:
-        return is_held
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    if not (steps == 0).any() or not steps.any():
-        return is_held
+    if len(xy) < MIN_TRACK_SAMPLES or not steps.any():
+        return np.zeros(len(xy), dtype=bool)
     grid_step = float(steps[steps > 0].min())
     limit = max(MIN_JUMP_STEPS * grid_step, MIN_JUMP_EXTENT * extent)
-    single = np.zeros(len(xy), dtype=bool)
-    for first, last in find_runs(np.concatenate([[False], steps == 0])):
-        # of three samples, because one may be an outlier; a point that comes to rest or
-        # leaves its rest is slow on that side
-        jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], xy[last])
-        jump_from = _distance_to_median(xy[last + 1 : last + 4], xy[last])
-        is_long = last - first + 1 >= MIN_HELD_REPEATS
-        is_at_end = is_long and last + 1 == len(xy)
-        if jump_to > limit and (jump_from > limit or is_at_end):
-            single[first : last + 1] = True
-            is_held[first : last + 1] = is_long
-    return single if single.mean() > MIN_HELD_SHARE else is_held
+    is_repeated = np.concatenate([[False], steps == 0])
+    is_held = np.zeros(len(xy), dtype=bool)
+    is_held_long = np.zeros(len(xy), dtype=bool)
+    for first, last in find_runs(is_repeated):
+        if _jumps_when_seen_again(xy, first, last, limit):
+            is_held[first : last + 1] = True
+            is_held_long[first : last + 1] = last - first + 1 >= MIN_HELD_REPEATS
+    return is_held if is_held.mean() > MIN_HELD_SHARE else is_held_long
+
+
+def _jumps_when_seen_again(xy: np.ndarray, first: int, last: int, limit: float) -> bool:
+    """Return whether a point was elsewhere before a run of repetitions, and after it.
+
+    Three samples decide, because one may be an outlier. A point that comes to rest or
+    leaves its rest is slow on that side. A long run may end the track.
+    """
+    place = xy[last]
+    jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], place)
+    jump_from = _distance_to_median(xy[last + 1 : last + 4], place)
+    ends_track = last + 1 == len(xy) and last - first + 1 >= MIN_HELD_REPEATS
+    return jump_to > limit and (jump_from > limit or ends_track)
 
 
 def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:

@@ -352,16 +352,16 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
     stems = [recording.name or recording.file.stem for recording in recordings]
     if len({*stems}) < 2:
         return {id(recording): trial_name("00") for recording in recordings}
-    reversed_stems = [stem[::-1] for stem in stems]
     # numbers stay whole
-    begin = len(commonprefix(stems).rstrip("0123456789"))  # noqa: RUF071
-    ending = commonprefix(reversed_stems)[::-1].lstrip("0123456789")  # noqa: RUF071
-    # of drive_a and release_a, the ending is _a, not e_a
-    separator = re.search(r"[^A-Za-z0-9]", ending)
-    end = len(ending) - (separator.start() if separator else 0)
+    prefix = commonprefix(stems).rstrip("0123456789")  # noqa: RUF071
+    reversed_stems = [stem[::-1] for stem in stems]
+    suffix = commonprefix(reversed_stems)[::-1]  # noqa: RUF071
+    # of drive_a and release_a, the suffix is _a, not e_a
+    suffix = re.sub("^[A-Za-z0-9]*", "", suffix)
     names = {}
     for recording, stem in zip(recordings, stems, strict=True):
-        names[id(recording)] = trial_name(stem[begin : len(stem) - end])
+        name = stem[len(prefix) : len(stem) - len(suffix)]
+        names[id(recording)] = trial_name(name)
     return names
 
 

@@ -250,29 +250,30 @@ def _cross_profiles(
 ) -> CrossProfile:
     """Read profiles across a line (K, 2) [px] along its unit normals (K, 2)."""
     reach = max(MIN_PROFILE_REACH_PX, 1.8 * half + 2)
-    across = np.arange(-reach, reach + 0.25, 0.5)
-    places = line[:, None] + across[None, :, None] * normal[:, None]
+    across = np.arange(-reach, reach + 0.25, 0.5)  # (M,) [px]
+    places = line[:, None] + across[None, :, None] * normal[:, None]  # (K, M, 2)
     u, v = np.moveaxis(places.astype(np.float32), -1, 0)
     light = cv2.remap(frame.light, u, v, cv2.INTER_LINEAR)
+    outline = cv2.remap(frame.outline.astype(np.float32), u, v, cv2.INTER_LINEAR)
+
     bright = np.maximum(light - 2 * frame.noise, 0)
     total = bright.sum(axis=1)
     centroid = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
     shift = np.clip(centroid, -reach, reach)
+    shift[0] = 0.0  # the arm shows where the string begins
 
-    outline = frame.outline.astype(np.float32)
-    covered = cv2.remap(outline, u, v, cv2.INTER_LINEAR)
+    is_dark = total < 4 * frame.noise
     on_string = np.abs(across) <= half + 1
-    outlined = covered[:, on_string].max(axis=1) > 0.5
-    dark = total < 4 * frame.noise
-    near_edge = distance_transform_edt(dark | outlined) < EXTENSION_PX
-    unseen = dark | (outlined & near_edge)
-    # the arm shows where the string begins
-    unseen[0] = False
-    shift[0] = 0.0
-    seen = np.flatnonzero(~unseen)
+    is_outlined = outline[:, on_string].max(axis=1) > 0.5
+    # an outline is read again at some distance from where it begins
+    is_near_edge = distance_transform_edt(is_dark | is_outlined) < EXTENSION_PX
+    is_unseen = is_dark | (is_outlined & is_near_edge)
+    is_unseen[0] = False
+
+    seen = np.flatnonzero(~is_unseen)
     shift = np.interp(np.arange(len(shift)), seen, shift[seen])
-    sigma = centroid_sigma(bright, across, unseen, frame.noise, half)
-    return CrossProfile(shift, sigma, total, outlined, unseen)
+    sigma = centroid_sigma(bright, across, is_unseen, frame.noise, half)
+    return CrossProfile(shift, sigma, total, is_outlined, is_unseen)
 
 
 def _extend_line(line: np.ndarray, half: float, extension: float) -> np.ndarray:

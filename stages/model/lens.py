@@ -45,18 +45,24 @@ class Lens:
         return float(np.sqrt(self.focal[0] * self.focal[1]))
 
     def pixels(self, rays: np.ndarray) -> np.ndarray:
-        """Map directions (..., 2) to pixels (..., 2).
+        """Map directions (..., 2) to pixels (u, v) (..., 2).
+
+        With directions x and y, r^2 = x^2 + y^2 and d = 1 + k1 r^2 + k2 r^4,
+
+            u = fx (x d + 2 p1 x y + p2 (r^2 + 2 x^2)) + cx
+            v = fy (y d + p1 (r^2 + 2 y^2) + 2 p2 x y) + cy.
 
         rays: x/z and y/z, x right, y down, z forward.
         """
-        x, y = np.moveaxis(np.asarray(rays, dtype=float), -1, 0)
+        rays = np.asarray(rays, dtype=float)
+        x, y = rays[..., 0], rays[..., 1]
         (fx, fy), (cx, cy) = self.focal, self.centre
         k1, k2, p1, p2 = self.distortion
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * k2)
-        bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        bent_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        return np.stack([fx * bent_x + cx, fy * bent_y + cy], axis=-1)
+        u = fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + cx
+        v = fy * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + cy
+        return np.stack([u, v], axis=-1)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels (..., 2) to directions (..., 2).
