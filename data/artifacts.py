@@ -92,18 +92,6 @@ MOTION_OUTCOME = Table(
 )
 
 
-PREDICTED_TIPS = Table(
-    "tips",
-    "the tip as the camera would report it, for samples of what is uncertain",
-    parse_columns("""
-    draw [1] (int): number of the sample
-    t [s]: time; 0 is the start of the movement
-    x [m]: position of the tip
-    y [m]: position of the tip
-    """),
-)
-
-
 def outcome_without_target(duration: float, tried: int) -> pd.DataFrame:
     """Return table MOTION_OUTCOME of a motion without a target."""
     names = [column.name for column in MOTION_OUTCOME.columns]
@@ -120,7 +108,6 @@ class Motion:
     string: pd.DataFrame
     attempts: pd.DataFrame
     outcome: pd.DataFrame
-    tips: pd.DataFrame = field(default_factory=PREDICTED_TIPS.empty)
 
     TABLES: ClassVar = tables_by_name(
         COMMANDS,
@@ -128,7 +115,6 @@ class Motion:
         PREDICTED_STRING,
         ATTEMPTS,
         MOTION_OUTCOME,
-        PREDICTED_TIPS,
     )
 
     @property

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.repeated_misfit import RepeatedMisfit
@@ -191,28 +190,38 @@ def simulate_motions(
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
     points = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
-    errors = tip_errors(task, curves, samples)
+    errors = tip_errors(task.misfit, curves, samples.tip_sigma, samples.tip_normal)
     points += share[:, None] * errors[:, :, None]
     return SimulatedMotions(curves, samples, motion.angles, points)
 
 
 def tip_errors(
-    task: CastTask, curves: Curves, samples: UncertaintySamples
+    misfit: RepeatedMisfit | None, curves: Curves, sigma: float, normal: np.ndarray
 ) -> np.ndarray:
     """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
 
     On a motion like the last one its misfit is repeated, and the less alike it is, the
     more of the error is random. Of a motion unlike it, the sigma is that of the largest
     misfit until then. T is the number of ticks, or 1 for constant errors.
+
+    Parameters
+    ----------
+    misfit : RepeatedMisfit or None
+        That motions like the last one repeat, if there was one.
+    curves : Curves
+        M motions.
+    sigma : float
+        Least error of a coordinate [m].
+    normal : (K, 2) array
+        The random error of each sample in units of its sigma.
     """
-    normal = samples.tip_normal[:, None]  # (K, 1, 2)
-    if task.misfit is None:
-        return np.tile(samples.tip_sigma * normal, (len(curves.duration), 1, 1))
-    correlation = task.misfit.correlation(curves, float(curves.duration.max()))
-    repeated = correlation[..., None] * task.misfit.tip_at_ticks(correlation.shape[1])
-    sigma = task.misfit.sigma_at_ticks(correlation.shape[1])
-    sigma = np.maximum(sigma, samples.tip_sigma)  # (T,)
-    spread = sigma * np.sqrt(1 - correlation**2)  # (M, T)
+    normal = normal[:, None]  # (K, 1, 2)
+    if misfit is None:
+        return np.tile(sigma * normal, (len(curves.duration), 1, 1))
+    correlation = misfit.correlation(curves, float(curves.duration.max()))
+    repeated = correlation[..., None] * misfit.tip_at_ticks(correlation.shape[1])
+    largest = misfit.sigma_at_ticks(correlation.shape[1])
+    spread = np.maximum(largest, sigma) * np.sqrt(1 - correlation**2)  # (M, T)
     errors = repeated[:, None] + spread[:, None, :, None] * normal  # (M, K, T, 2)
     return np.asarray(errors.reshape(-1, *errors.shape[2:]))
 
@@ -229,26 +238,6 @@ def sample_joint_motions(
     start = angles[:, :1]
     turned = start + gain * (angles - start)
     return JointMotion(0.0, tick, turned, gain * speeds)
-
-
-def predict_reported_tips(
-    task: CastTask, curve: Curves, samples: UncertaintySamples
-) -> tuple[np.ndarray, np.ndarray]:
-    """Predict the tip of one motion as the camera reports it, under K samples.
-
-    Returns the ticks (T,) [s] and the tips (K, T, 2) [m]; NaN where a simulation
-    diverges. The joints' delay shifts each path.
-    """
-    model = task.model
-    motion = sample_joint_motions(model, curve, samples)
-    times = np.arange(motion.angles.shape[1]) * model.arm.tick
-    points = model.simulate_observation(motion, samples.values, times).points
-    tips = np.nan_to_num(points[:, :, -1])
-    for number, lag in enumerate(samples.lag):
-        delayed = np.maximum(times - lag, 0.0)
-        tips[number] = CubicSpline(times, tips[number])(delayed)
-    tips[~np.isfinite(points).all(axis=(1, 2, 3))] = np.nan
-    return times, tips + tip_errors(task, curve, samples)
 
 
 def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:

@@ -17,7 +17,6 @@ from pydantic import Field
 from stringcast.data.artifacts import (
     ATTEMPTS,
     MOTION_OUTCOME,
-    PREDICTED_TIPS,
     Estimate,
     Motion,
 )
@@ -34,7 +33,6 @@ from stringcast.stages.generate.hit_probability import (
     CastTask,
     midpoint_tip_path,
     predict_outcome,
-    predict_reported_tips,
     simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
@@ -63,7 +61,6 @@ stats = LazyModule("scipy.stats")
 
 FINALIST_COUNT = 4  # winners of the race that are refined
 RUNNER_UP_COUNT = 8  # winners of the race that may be chosen unrefined
-TIP_DRAWS = 100  # predicted tips that are kept with the motion
 SUFFICIENT_HIT_SHARE = 0.5  # of the samples: no further search is made
 
 
@@ -313,7 +310,7 @@ def build_motion_artifact(
     attempts = pd.DataFrame(
         {"outcome": ["less likely to hit", HIT], "count": [tried - 1, 1]}
     )
-    motion = motion_artifact(
+    return motion_artifact(
         task,
         curve,
         np.arange(len(points)) * tick,
@@ -328,7 +325,6 @@ def build_motion_artifact(
         chance_high=interval.high,
         **describe_correction(task, curve, nearest * tick / 2),
     )
-    return replace(motion, tips=predicted_tips_table(task, curve, samples))
 
 
 def describe_correction(
@@ -345,18 +341,3 @@ def describe_correction(
         "likeness": likeness,
         "correction": likeness * float(np.hypot(*misfit)),
     }
-
-
-def predicted_tips_table(
-    task: CastTask, curve: Curves, samples: UncertaintySamples
-) -> pd.DataFrame:
-    """Tabulate the tips that samples predict; those that diverge are left out."""
-    times, tips = predict_reported_tips(task, curve, samples.select(slice(TIP_DRAWS)))
-    tips = tips[np.isfinite(tips).all(axis=(1, 2))]
-    columns = {
-        "draw": np.repeat(np.arange(len(tips)), len(times)),
-        "t": np.tile(times, len(tips)),
-        "x": tips[..., 0].ravel(),
-        "y": tips[..., 1].ravel(),
-    }
-    return PREDICTED_TIPS.check(pd.DataFrame(columns))

@@ -1,7 +1,13 @@
 """The surprise as a stage: whether a trial is within what was predicted."""
 
-from stringcast.data.artifacts import Motion, Points, Surprise
-from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
+from stringcast.data.artifacts import Estimate, Motion, Points, Surprise, Trial
+from stringcast.stages.spec import (
+    MODEL,
+    LatestIteration,
+    SameIteration,
+    StageSpec,
+    StageSummary,
+)
 
 
 def summary(surprise: Surprise) -> StageSummary:
@@ -13,9 +19,15 @@ STAGE = StageSpec(
     name="surprise",
     makes=Surprise,
     folder="surprise",
-    uses=("seed",),
+    uses=(*MODEL, "seed"),
     run="stages.surprise.surprise.run",
-    inputs={"motion": SameIteration(Motion), "points": SameIteration(Points)},
+    inputs={
+        "motion": SameIteration(Motion),
+        "trial": SameIteration(Trial),
+        "points": SameIteration(Points),
+        "last_motion": LatestIteration(Motion),
+        "estimate": LatestIteration(Estimate),
+    },
     summary=summary,
     is_end=True,
 )

@@ -1,4 +1,4 @@
-"""Test of a trial against the predictions that were made before it.
+"""Test of a trial against what the estimate before it predicts.
 
 The measured path of the tip and those predicted by samples of the posterior are
 compared as one set. If the trial comes from the model, the measured path is one more
@@ -8,13 +8,25 @@ the distance (a Monte Carlo test; Besag and Clifford, Biometrika 78, 301, 1991).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
 
-from stringcast.data.artifacts import SURPRISE_SUMMARY, Motion, Points, Surprise
+from stringcast.data.artifacts import (
+    SURPRISE_SUMMARY,
+    Estimate,
+    Motion,
+    Observation,
+    Points,
+    Surprise,
+    Trial,
+)
 from stringcast.stages.common import MM_PER_M
+from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.model.extension import extend_model
 from stringcast.stages.spec import StageCall
+from stringcast.stages.surprise.prediction import predict_tips
 
 ALARM_P_VALUE = 0.02  # share of false alarms
 MIN_DRAWS = 50  # fewer cannot show so small a share
@@ -22,44 +34,66 @@ MIN_FRAMES = 5  # fewer readings of the tip show nothing
 MIN_SPREAD_M = 5e-4  # of predictions and noise together: rounding is no surprise
 
 
-def run(call: StageCall, motion: Motion, points: Points) -> Surprise:
-    """Test the trial of an iteration against its predictions, as a stage."""
-    return measure_surprise(motion, points, np.random.default_rng(call.seed))
+def run(
+    call: StageCall,
+    motion: Motion,
+    trial: Trial,
+    points: Points,
+    last_motion: Motion | None,
+    estimate: Estimate | None,
+) -> Surprise:
+    """Test the trial of an iteration against what was known before it, as a stage."""
+    if not motion.is_cast or estimate is None or estimate.draws.empty:
+        return describe_missing_test("Nothing was known of the string before.")
+    readings = points.readings
+    is_moving = readings["t"].between(0, motion.duration)
+    read = readings[readings["valid"].astype(bool) & is_moving]
+    if len(read) < MIN_FRAMES:
+        return describe_missing_test(
+            "Too few frames were read to compare the tip with its prediction."
+        )
+    if last_motion is not None and not last_motion.is_cast:
+        last_motion = None  # no cast resembles a look
+
+    rng = np.random.default_rng(call.seed)
+    model = extend_model(call.setup.model, estimate.values())
+    observation = Observation(
+        "", points.points, points.readings, points.masks, arm=trial.arm
+    )
+    prepared = prepare_trial(model, observation)
+    prepared = replace(prepared, times=read["t"].to_numpy())
+    predicted = predict_tips(prepared, motion, last_motion, estimate, rng)
+    measured = read[["tip_x", "tip_y"]].to_numpy()
+    return measure_surprise(predicted, measured, read["tip_sigma"].to_numpy(), rng)
 
 
 def measure_surprise(
-    motion: Motion, points: Points, rng: np.random.Generator
+    predicted: np.ndarray,
+    measured: np.ndarray,
+    sigma: np.ndarray,
+    rng: np.random.Generator,
 ) -> Surprise:
-    """Test whether the measured tip is within what the samples predicted.
+    """Test whether the measured tip is within what samples predict.
 
     Parameters
     ----------
-    motion : Motion
-        The motion, with the tips that samples predict.
-    points : Points
-        What was read from the frames.
+    predicted : (K, F, 2) array
+        Tips that samples predict [m].
+    measured : (F, 2) array
+        Tips that were read [m].
+    sigma : (F,) array
+        Noise of a measured coordinate [m].
     rng : numpy.random.Generator
         Of the noise that predictions of measurements have.
 
     Returns
     -------
     Surprise
-        The p-value; NaN where there is nothing to compare.
+        The p-value; NaN with too few samples.
     """
-    readings = points.readings
-    is_moving = readings["t"].between(0, motion.duration)
-    read = readings[readings["valid"].astype(bool) & is_moving]
-    draws = motion.tips["draw"].nunique()
+    draws = len(predicted)
     if draws < MIN_DRAWS:
-        return _describe(draws, len(read), "Nothing was predicted before this cast.")
-    if len(read) < MIN_FRAMES:
-        sentence = "Too few frames were read to compare the tip with its prediction."
-        return _describe(draws, len(read), sentence)
-
-    t = read["t"].to_numpy()
-    measured = read[["tip_x", "tip_y"]].to_numpy()  # (F, 2)
-    sigma = read["tip_sigma"].to_numpy()  # (F,)
-    predicted = predicted_tips_at(motion.tips, t)  # (K, F, 2)
+        return describe_missing_test("Too few samples could be simulated.")
     noise = rng.standard_normal(predicted.shape) * sigma[:, None]
     distances = path_distances(np.concatenate([measured[None], predicted + noise]))
     as_far = int((distances[1:] >= distances[0]).sum())
@@ -73,16 +107,13 @@ def measure_surprise(
     is_surprising = p_value <= ALARM_P_VALUE
     sentence += " The trial is a surprise." if is_surprising else ""
     return _describe(
-        draws, len(read), sentence, float(distances[0]), p_value, is_surprising
+        draws, len(measured), sentence, float(distances[0]), p_value, is_surprising
     )
 
 
-def predicted_tips_at(tips: pd.DataFrame, t: np.ndarray) -> np.ndarray:
-    """Interpolate the predicted tips at times (F,) [s], (K, F, 2) [m]."""
-    times = np.sort(tips["t"].unique())
-    paths = tips.sort_values(["draw", "t"])[["x", "y"]].to_numpy()
-    paths = paths.reshape(-1, len(times), 2)
-    return np.asarray(CubicSpline(times, paths, axis=1)(t))
+def describe_missing_test(reason: str) -> Surprise:
+    """Build the artifact of a trial that was not tested."""
+    return _describe(0, 0, reason)
 
 
 def path_distances(paths: np.ndarray) -> np.ndarray:

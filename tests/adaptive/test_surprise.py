@@ -1,24 +1,31 @@
 """The test of a trial against its predictions: calibrated, and it sees what matters."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import (
+    JOINTS,
     MASKS,
     POINTS,
-    PREDICTED_TIPS,
     READINGS,
     Motion,
     Points,
-    outcome_without_target,
 )
-from stringcast.stages.surprise.surprise import ALARM_P_VALUE, measure_surprise
+from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.generate.generate import command_table, control_point_table
+from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.model import Model
+from stringcast.stages.surprise.surprise import ALARM_P_VALUE, measure_surprise, run
+from tests.conftest import implicit_string
 
 DRAWS = 100
 DURATION_S = 0.5
 NOISE_M = 0.7e-3
 FRAME_TIMES = np.arange(0, DURATION_S, 0.01)
+SIGMA_M = np.full(len(FRAME_TIMES), NOISE_M)
 
 
 def tip_paths(rng, count):
@@ -30,40 +37,16 @@ def tip_paths(rng, count):
     return shape * (1 + delay * share[:, None]) + amount * share[:, None] ** 2
 
 
-def predicted(paths):
-    columns = {
-        "draw": np.repeat(np.arange(len(paths)), len(FRAME_TIMES)),
-        "t": np.tile(FRAME_TIMES, len(paths)),
-        "x": paths[..., 0].ravel(),
-        "y": paths[..., 1].ravel(),
-    }
-    empty = [Motion.TABLES[name].empty() for name in list(Motion.TABLES)[:4]]
-    tips = PREDICTED_TIPS.check(pd.DataFrame(columns))
-    return Motion(*empty, outcome_without_target(DURATION_S, 1), tips)
-
-
-def read(path, rng):
-    noisy = path + rng.normal(0, NOISE_M, path.shape)
-    readings = {
-        "frame": np.arange(len(path)),
-        "t": FRAME_TIMES,
-        "valid": True,
-        "reason": "",
-        "tip_x": noisy[:, 0],
-        "tip_y": noisy[:, 1],
-        "tip_sigma": NOISE_M,
-        "length": 0.3,
-    }
-    return Points(POINTS.empty(), READINGS.check(pd.DataFrame(readings)), MASKS.empty())
-
-
 def surprises(offset_m, trials):
     """Return the surprises of trials whose tip is off at the end by an offset [m]."""
     rng = np.random.default_rng(0)
-    motion = predicted(tip_paths(rng, DRAWS))
+    predicted = tip_paths(rng, DRAWS)
     offset = offset_m * (FRAME_TIMES / DURATION_S)[:, None] * [1.0, 0.0]
-    paths = tip_paths(rng, trials) + offset
-    return [measure_surprise(motion, read(path, rng), rng) for path in paths]
+    found = []
+    for path in tip_paths(rng, trials) + offset:
+        measured = path + rng.normal(0, NOISE_M, path.shape)
+        found.append(measure_surprise(predicted, measured, SIGMA_M, rng))
+    return found
 
 
 def test_p_values_of_trials_of_the_posterior_are_spread_evenly():
@@ -79,14 +62,93 @@ def test_a_tip_that_is_off_by_more_than_the_box_is_a_surprise():
     assert sum(surprise.is_surprising for surprise in surprises(0.02, 40)) >= 38
 
 
-def test_nothing_is_said_without_predictions_or_readings():
-    rng = np.random.default_rng(0)
-    paths = tip_paths(rng, DRAWS)
-    points = read(paths[0], rng)
-    unread = Points(
-        points.points, points.readings.assign(valid=False, reason="dark"), points.masks
+def joint_angles(motion, late_s=0.0, gain=1.0):
+    """Return the joint angles of an arm that is late and turns too far."""
+    t = motion.commands["t"].to_numpy()
+    columns = {"t": t}
+    for joint in JOINTS:
+        planned = motion.commands[joint].to_numpy()
+        turned = np.interp(t - late_s, t, planned) - planned[0]
+        columns[joint] = planned[0] + gain * turned
+    return pd.DataFrame(columns)
+
+
+def read_tip(model, arm, rng):
+    """Return what is read of a string whose hand moves with these joint angles."""
+    motion = resample_joint_motion(arm["t"].to_numpy(), arm[list(JOINTS)].to_numpy())
+    values = model.values({})[None]
+    tip = model.simulate_observation(motion, values, FRAME_TIMES).points[0, :, -1]
+    tip = tip + rng.normal(0, NOISE_M, tip.shape)
+    same = {"t": FRAME_TIMES, "valid": True}
+    readings = same | {"frame": np.arange(len(tip)), "reason": ""}
+    readings |= {"tip_x": tip[:, 0], "tip_y": tip[:, 1], "tip_sigma": NOISE_M}
+    readings["length"] = model.string.length
+    points = same | {"s": model.string.length, "x": tip[:, 0], "y": tip[:, 1]}
+    points["sigma"] = NOISE_M
+    tables = POINTS.check(pd.DataFrame(points)), READINGS.check(pd.DataFrame(readings))
+    return Points(*tables, MASKS.empty())
+
+
+def planned_cast(arm):
+    """Return a cast as it is planned."""
+    curves = plain_cast(arm, DURATION_S)
+    empty = [Motion.TABLES[name].empty() for name in ("string", "attempts")]
+    outcome = pd.DataFrame([{"duration": DURATION_S}])
+    commands, points = command_table(arm, curves), control_point_table(curves)
+    return Motion(commands, points, *empty, outcome)
+
+
+def known_to_some_percent(model, rng, draws=DRAWS):
+    """Return an estimate of the right values."""
+    values = model.values({})
+    scale = np.exp(0.03 * rng.standard_normal((draws, len(values))))
+    return SimpleNamespace(
+        values=lambda: dict(zip(model.names, values, strict=True)),
+        draws=pd.DataFrame(values * scale, columns=model.names),
+        model_error_m=np.sqrt(2) * NOISE_M,
+        misfit=pd.DataFrame(),
     )
-    for motion, seen in ((predicted(paths[:10]), points), (predicted(paths), unread)):
-        surprise = measure_surprise(motion, seen, rng)
+
+
+@pytest.fixture
+def tested(arm, camera):
+    """Return the surprise of a cast whose arm reports something and does another."""
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    motion = planned_cast(arm)
+    rng = np.random.default_rng(0)
+
+    def test(reported, performed, draws=DRAWS, readable=True):
+        points = read_tip(model, performed(motion), rng)
+        readings = points.readings.assign(valid=readable)
+        points = Points(points.points, readings, points.masks)
+        call = SimpleNamespace(seed=0, setup=SimpleNamespace(model=model))
+        estimate = known_to_some_percent(model, rng, draws)
+        trial = SimpleNamespace(arm=reported(motion))
+        return run(call, motion, trial, points, None, estimate)
+
+    return test
+
+
+def turning_too_far(motion):
+    return joint_angles(motion, gain=1.04)
+
+
+def late(motion):
+    return joint_angles(motion, late_s=0.02)
+
+
+@pytest.mark.parametrize("moved", [joint_angles, turning_too_far, late])
+def test_an_arm_that_reports_what_it_does_is_no_surprise(tested, moved):
+    assert not tested(reported=moved, performed=moved).is_surprising
+
+
+@pytest.mark.parametrize("moved", [turning_too_far, late])
+def test_an_arm_that_does_something_else_is_a_surprise(tested, moved):
+    assert tested(reported=joint_angles, performed=moved).is_surprising
+
+
+def test_nothing_is_said_without_predictions_or_readings(tested):
+    for few in ({"draws": 0}, {"draws": 10}, {"readable": False}):
+        surprise = tested(joint_angles, joint_angles, **few)
         assert np.isnan(surprise.p_value)
         assert not surprise.is_surprising

@@ -11,7 +11,7 @@ from stringcast.stages.generate.curves import join_curves, next_curves, plain_ca
 from stringcast.stages.generate.hit_probability import (
     CastTask,
     predict_outcome,
-    predict_reported_tips,
+    simulate_motions,
     tip_errors,
 )
 from stringcast.stages.generate.race import MIN_CHANGE_SHARE, draw_between
@@ -60,12 +60,10 @@ def estimate_of(misfit, hand):
     return SimpleNamespace(misfit=table)
 
 
-def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
-    arm, camera, misfit, samples
-):
+def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(misfit, samples):
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
-    task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), misfit)
-    errors = tip_errors(task, join_curves([misfit.last, far]), samples)
+    curves = join_curves([misfit.last, far])
+    errors = tip_errors(misfit, curves, MODEL_ERROR_M, samples.tip_normal)
     random = MODEL_ERROR_M * samples.tip_normal
     assert errors.shape == (2 * SAMPLES, 101, 2)
     for error in errors[:SAMPLES]:
@@ -74,16 +72,13 @@ def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(
     np.testing.assert_allclose(at_end, random, rtol=1e-3, atol=1e-5)
 
 
-def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(
-    arm, camera, misfit, samples
-):
+def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(misfit, samples):
     """The misfit is three times the model's error halfway, and then turns back."""
     tip = np.zeros_like(misfit.tip)
     tip[50:60] = 3 * np.sqrt(2) * MODEL_ERROR_M, 0.0
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
     large = replace(misfit, tip=tip)
-    task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), large)
-    errors = tip_errors(task, far, samples)
+    errors = tip_errors(large, far, MODEL_ERROR_M, samples.tip_normal)
     random = MODEL_ERROR_M * samples.tip_normal
     before, after = errors[:, 49], errors[:, -1]
     np.testing.assert_allclose(before, random, rtol=1e-3, atol=1e-5)
@@ -116,15 +111,15 @@ def test_a_target_is_hit_where_the_misfit_brings_the_tip(arm, camera, misfit, sa
     """A target that the model misses by the misfit is hit by repeating the motion."""
     model = Model(String(LENGTH_M), arm, camera)
     plain = CastTask(model, Target(0.0, 0.0, 0.02, 0.02), ())
-    times, tips = predict_reported_tips(
-        plain, misfit.last, replace(samples, tip_sigma=0.0)
-    )
+    exact = replace(samples, tip_sigma=0.0)
+    tips = simulate_motions(plain, misfit.last, exact).points[:, :, -1]
     x, y = tips[0, 80] + misfit.tip[80]
     corrected = CastTask(model, Target(x, y, 0.004, 0.004), (), misfit)
     assert predict_outcome(corrected, misfit.last, samples).hit.all()
     without = replace(corrected, misfit=None)
     assert not predict_outcome(without, misfit.last, samples).hit.any()
-    _, corrected_tips = predict_reported_tips(corrected, misfit.last, samples)
+    corrected_motions = simulate_motions(corrected, misfit.last, samples)
+    corrected_tips = corrected_motions.points[:, :, -1]
     np.testing.assert_allclose(corrected_tips[0], tips[0] + misfit.tip, atol=1e-9)
 
 

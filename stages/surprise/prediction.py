@@ -1,0 +1,75 @@
+"""Predictions of the tip in a trial, from what was known before it.
+
+The hand moves as the joints report. An arm that does not follow its commands is no
+fault of the string's model, and a test that allows for all that an arm may do notices
+little else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stringcast.data.artifacts import Estimate, Motion
+from stringcast.stages.generate.curves import curves_from_motion
+from stringcast.stages.generate.hit_probability import tip_errors
+from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
+from stringcast.stages.inference.mesh import REFERENCE_REFINEMENT, refine_mesh
+from stringcast.stages.inference.prepared_trial import PreparedTrial
+
+SAMPLES = 100
+
+
+def predict_tips(
+    trial: PreparedTrial,
+    motion: Motion,
+    last_motion: Motion | None,
+    estimate: Estimate,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Predict the tip at a trial's frames under samples of an estimate, (K, F, 2) [m].
+
+    Samples whose simulation diverges are left out.
+
+    Parameters
+    ----------
+    trial : PreparedTrial
+        The trial, of which only the motion of the joints is used.
+    motion : Motion
+        What was planned.
+    last_motion : Motion or None
+        The cast before.
+    estimate : Estimate
+        Of the trials before.
+    rng : numpy.random.Generator
+        Source of randomness.
+    """
+    model = trial.model
+    chosen = rng.permutation(len(estimate.draws))[:SAMPLES]
+    draws = estimate.draws.iloc[chosen].to_dict("records")
+    values = np.stack([model.values(draw) for draw in draws])
+    best = model.values(estimate.values())[None]
+    tips = _simulate_tips(trial, values)
+    tips = tips[np.isfinite(tips).all(axis=(1, 2))]
+
+    # parameters take up an unknown part of the mesh's error
+    _, finer = refine_mesh(model, [trial], REFERENCE_REFINEMENT)
+    mesh_error = _simulate_tips(trial, best) - _simulate_tips(finer[0], best)
+    amplitude = rng.standard_normal((len(tips), 1, 1))
+    tips += amplitude * np.nan_to_num(mesh_error)
+
+    misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
+    # what the estimate left, less the noise of the points
+    noise = np.median(trial.sigma)
+    variance = max(estimate.model_error_m**2 / 2 - noise**2, 0.0)
+    normal = rng.standard_normal((len(tips), 2))
+    curves = curves_from_motion(motion)
+    errors = tip_errors(misfit, curves, float(np.sqrt(variance)), normal)
+    ticks = np.round(trial.times / model.arm.tick).astype(int)
+    tips += errors[:, np.clip(ticks, 0, errors.shape[1] - 1)]
+    return np.asarray(tips)
+
+
+def _simulate_tips(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
+    """Simulate the tip of candidates (C, P) at the frames, (C, F, 2) [m]."""
+    tips = [motion.points[:, :, -1] for _, motion in trial.simulate(values)]
+    return np.concatenate(tips)
