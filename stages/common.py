@@ -83,12 +83,6 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def sample_evenly(count: int, samples: int) -> list[int]:
-    """Choose at most so many of the numbers from 0 to count - 1, evenly."""
-    places = np.linspace(0, count - 1, samples).astype(int)
-    return [int(number) for number in np.unique(places)]
-
-
 def interpolate_rows(
     times: np.ndarray | float, t: np.ndarray, rows: np.ndarray
 ) -> np.ndarray:

@@ -28,7 +28,7 @@ from stringcast.stages.align.fit import (
     fit_alignment,
 )
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import Progress, sample_evenly, turn_left
+from stringcast.stages.common import Progress, choose_evenly, turn_left
 from stringcast.stages.extract.segment import uncovered_brightness
 from stringcast.stages.extract.stabilise import MAX_SAMPLES
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
@@ -159,8 +159,8 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     assert film.arm is not None
     log_t, log = film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
     motion = resample_joint_motion(log_t, log).extended_until(film.t[-1])
-    chosen = sample_evenly(len(film.t), MAX_FRAMES)
-    scene_frames = sample_evenly(len(film.images), MAX_SAMPLES)
+    chosen = choose_evenly(len(film.t), MAX_FRAMES)
+    scene_frames = choose_evenly(len(film.images), MAX_SAMPLES)
     scene = estimate_scene(np.stack([film.images[number] for number in scene_frames]))
 
     def difference(number: int) -> np.ndarray:

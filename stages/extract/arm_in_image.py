@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import sample_evenly, turn_left
+from stringcast.stages.common import choose_evenly, turn_left
 from stringcast.stages.extract.footage import Footage
-from stringcast.stages.extract.segment import estimate_noise
+from stringcast.stages.extract.segment import grey_noise
 from stringcast.stages.model.camera import Camera
 
 cv2 = LazyModule("cv2")
@@ -181,9 +181,9 @@ def bright_wide_pixels(
     size = max(round(OPENING_SHARE * width_px), 2)
     link = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     pixels = {}
-    for number in sample_evenly(len(images), SAMPLE_FRAMES):
+    for number in choose_evenly(len(images), SAMPLE_FRAMES):
         above = images[number] - uncovered
-        threshold = MIN_CONTRAST_SIGMAS * estimate_noise(above[::3, ::3])
+        threshold = MIN_CONTRAST_SIGMAS * grey_noise(above[::3, ::3])
         bright = (above > threshold).astype(np.uint8)
         rows, columns = np.nonzero(cv2.morphologyEx(bright, cv2.MORPH_OPEN, link))
         step = max(len(rows) // MAX_PIXELS, 1)

@@ -14,7 +14,7 @@ from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Tri
 from stringcast.data.images import CachedImages
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress, interpolate_rows, sample_evenly
+from stringcast.stages.common import Progress, choose_evenly, interpolate_rows
 from stringcast.stages.extract.arm_in_image import ArmFit, fit_arm
 from stringcast.stages.extract.centreline import (
     MIN_PROFILE_REACH_PX,
@@ -174,7 +174,7 @@ def extract(
 def _sample_frames(images: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Choose the frames from which the scene is estimated, uint8."""
     frames = []
-    for number in sample_evenly(len(images), MAX_SAMPLES):
+    for number in choose_evenly(len(images), MAX_SAMPLES):
         image = images[number]
         if image.dtype != np.uint8:
             image = cv2.convertScaleAbs(image)
@@ -196,7 +196,7 @@ def _estimate_scene(
     arm_width, string_length: [px].
     """
     arms = []
-    for number in sample_evenly(len(footage.images), MAX_SAMPLES):
+    for number in choose_evenly(len(footage.images), MAX_SAMPLES):
         joints = np.zeros((0, 2, 2))
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])

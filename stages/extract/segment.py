@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import sample_evenly
+from stringcast.stages.common import choose_evenly, mad_sigma
 from stringcast.stages.extract.score import rasterise
 
 cv2 = LazyModule("cv2")
@@ -34,7 +34,6 @@ MAX_LIGHT_GAIN = 5.0  # by which the string's light is raised before a bright ar
 # error from which a pixel does not show where the string's middle is [grey levels]
 MAX_OUTLINE_ERROR_GREY = 10.0
 MIN_NOISE_GREY = 0.3  # noise of rounding to whole levels
-MAD_SHARE = 0.6745  # median magnitude over standard deviation, of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -110,9 +109,9 @@ def segment_frame(
         image, backdrop.scene, moments, width, OUTLINE_ERROR_PX + blur / 2
     )
     above = cv2.GaussianBlur(image - expected, (0, 0), 0.8)
-    noise = body_noise = estimate_noise(above[::3, ::3])
+    noise = body_noise = grey_noise(above[::3, ::3])
     if body.any():
-        body_noise = max(noise, estimate_noise(above[body]))
+        body_noise = max(noise, grey_noise(above[body]))
     threshold = sigmas * np.where(body, body_noise, noise)
     mask = remove_specks((above > threshold).astype(np.uint8))
     arm = rasterise(moments, image.shape, width + 4 + blur) > 0
@@ -222,7 +221,7 @@ def typical_half_width(
     The string is what outshines the scene most, beside the arm.
     """
     widths = []
-    for number in sample_evenly(len(frames), WIDTH_SAMPLES):
+    for number in choose_evenly(len(frames), WIDTH_SAMPLES):
         covered = unpack_mask(arm[number], scene.shape[1]).astype(np.uint8)
         near_arm = cv2.dilate(covered, np.ones((5, 5))) > 0
         above = np.where(near_arm, 0, frames[number] - scene)
@@ -350,19 +349,18 @@ def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
     It is seen where each frame outshines the scene most.
     """
     brightest = []
-    for number in sample_evenly(len(images), BRIGHTNESS_SAMPLES):
+    for number in choose_evenly(len(images), BRIGHTNESS_SAMPLES):
         image = images[number]
         brightest.append(image.flat[np.argmax(image - scene)])
     return float(np.percentile(brightest, 90))
 
 
-def estimate_noise(difference: np.ndarray) -> float:
+def grey_noise(difference: np.ndarray) -> float:
     """Estimate the noise from a difference of any shape, by the median.
 
     The string covers less than half of the pixels and has no influence.
     """
-    deviation = np.abs(difference - np.median(difference))
-    return max(float(np.median(deviation)) / MAD_SHARE, MIN_NOISE_GREY)
+    return max(mad_sigma(difference - np.median(difference)), MIN_NOISE_GREY)
 
 
 def remove_specks(mask: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import mad_sigma, rms, sample_evenly
+from stringcast.stages.common import choose_evenly, mad_sigma, rms
 
 cv2 = LazyModule("cv2")
 
@@ -126,7 +126,7 @@ def _register_images(
     start: (F, 3) gain and shift (d_u, d_v) [px] from which Gauss-Newton begins. Returns
     gains and shifts (F, 3), and the standard deviation of the shifts (F,) [px].
     """
-    numbers = sample_evenly(len(images), MAX_SAMPLES)
+    numbers = choose_evenly(len(images), MAX_SAMPLES)
     samples = [_downscale(images[number], scale) for number in numbers]
     template = np.median(samples, axis=0)
     found, sigmas = [], []

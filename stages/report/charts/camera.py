@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import choose_evenly
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_mm, format_ms
@@ -221,9 +222,8 @@ def cast_film_data(
         strings["after"].append(film_pixels(cast.after[frame]))
         strings["measured"].append(film_pixels(cast.centre_line(frame)))
     stills = []
-    for index in np.unique(np.linspace(0, len(frames) - 1, STILL_COUNT).round()):
-        number = int(index)
-        stills.append((number, format_ms(cast.frame_times[frames[number]])))
+    for number in choose_evenly(len(frames), STILL_COUNT):
+        stills.append((int(number), format_ms(cast.frame_times[frames[number]])))
     closest = cast.closest_frame
     return {
         "width": width,
