@@ -8,7 +8,6 @@ import hashlib
 import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import cv2
 import numpy as np
@@ -46,8 +45,8 @@ from stringcast.stages.report.page import Page as ReportPage
 from stringcast.stages.report.pages.cast import cast_page
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import STYLE_SHEET, THEME, svg_picture
+from tests.report.page_reader import Page, decode_image, fixed_colours
 
-VOID = {"meta", "img", "input", "br", "link"}
 STRING = String(0.3)
 DURATION = 0.4
 TARGET = Target(0.5, 0.75, 0.02, 0.04)
@@ -249,60 +248,6 @@ def record(arm, small):
     )
 
 
-# --- reading the page
-class Page(HTMLParser):
-    """Elements, text a person sees, and scripts; raises where tags do not nest."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open, self.elements, self.words, self.scripts, self.styles = (
-            [],
-            [],
-            [],
-            [],
-            [],
-        )
-        self.feed(text)
-        assert self.open == [], f"never closed: {self.open}"
-        self.text = re.sub(r"\s+", " ", " ".join(self.words))
-
-    def handle_starttag(self, tag, attributes):
-        self.elements.append((tag, dict(attributes)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag):
-        assert self.open, f"</{tag}> closes nothing"
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        inside = self.open[-1] if self.open else ""
-        {"script": self.scripts, "style": self.styles}.get(inside, self.words).append(
-            data
-        )
-
-    def all(self, tag):
-        return [attributes for name, attributes in self.elements if name == tag]
-
-    def explored(self):
-        """Return films and charts, parsed without NaN.
-
-        JSON.parse refuses NaN, too.
-        """
-        data = [
-            json.loads(text, parse_constant=pytest.fail)
-            for text in self.scripts
-            if text.startswith("{")
-        ]
-        return [one for one in data if "frames" in one], [
-            one for one in data if "lines" in one
-        ]
-
-
-def decoded(source):
-    return base64.b64decode(source.partition("base64,")[2])
-
-
 @pytest.fixture(scope="module")
 def page(record):
     return Page(cast_page(record))
@@ -310,20 +255,7 @@ def page(record):
 
 # --- a complete page
 def test_nothing_is_loaded_from_elsewhere(page):
-    for tag, attributes in page.elements:
-        for name in ("src", "href", "srcset", "poster", "action", "data"):
-            where = attributes.get(name) or "#"
-            assert where.startswith(("data:image/", "#")), (
-                f"<{tag} {name}={where[:60]}>"
-            )
-    assert not re.search(r"url\(|@import", " ".join(page.styles))
-    assert not re.search(r"fetch|import|XMLHttp|https?:", page.scripts[-1])
-    for image in page.all("img"):
-        if "svg+xml" in image["src"]:
-            assert not re.search(
-                r'href="(?!#|data:)|url\((?!#)|<!DOCTYPE|<script',
-                decoded(image["src"]).decode(),
-            )
+    page.require_complete()
 
 
 def test_the_policy_admits_two_scripts_and_no_other(page):
@@ -352,26 +284,17 @@ def test_every_picture_has_words_and_a_size(page, record):
         if "webp" in image["src"]:
             assert (
                 cv2.imdecode(
-                    np.frombuffer(decoded(image["src"]), np.uint8), cv2.IMREAD_COLOR
+                    np.frombuffer(decode_image(image["src"]), np.uint8),
+                    cv2.IMREAD_COLOR,
                 )
                 is not None
             )
 
 
 def test_every_colour_of_a_figure_has_a_dark_side(page):
-    for image in page.all("img"):
-        if "svg+xml" in image["src"]:
-            drawn = re.sub(
-                r":root{.*?}|<image[^>]*>",
-                "",
-                decoded(image["src"]).decode(),
-                flags=re.DOTALL,
-            )
-            assert "var(--ink)" in drawn or "var(--soft)" in drawn
-            left = set(re.findall(r"(?:fill|stroke): ?(#[0-9a-f]{6})", drawn))
-            assert left <= {"#ffffff"}, (
-                f"{image['alt']}: {left} does not follow the theme"
-            )
+    for words, drawing in page.drawings().items():
+        assert "var(--ink)" in drawing or "var(--soft)" in drawing
+        assert not fixed_colours(drawing), words
     assert len({light for light, _ in THEME.values()}) == len(THEME)
 
 
@@ -380,14 +303,14 @@ def test_the_name_of_a_trial_is_never_mathematics():
     with style.context(STYLE_SHEET):
         figure = Figure()
         figure.text(0.5, 0.5, name)
-    assert name in decoded(svg_picture(figure, "A figure.").source).decode()
+    assert name in decode_image(svg_picture(figure, "A figure.").source).decode()
 
 
 def test_text_of_a_figure_stays_text():
     """As outlines, whose scale would be rounded, it was too small to be read."""
     figure = Figure()
     figure.subplots().set_xlabel("time [s]")
-    drawn = decoded(svg_picture(figure, "A figure.").source).decode()
+    drawn = decode_image(svg_picture(figure, "A figure.").source).decode()
     assert "time [s]</text>" in drawn
 
 
@@ -447,7 +370,7 @@ def shown(data):
     """Yield the player's frames as a browser shows them."""
     for source in data["frames"]:
         image = cv2.imdecode(
-            np.frombuffer(decoded(source), np.uint8), cv2.IMREAD_GRAYSCALE
+            np.frombuffer(decode_image(source), np.uint8), cv2.IMREAD_GRAYSCALE
         )
         yield cv2.resize(
             image, (data["width"], data["height"]), interpolation=cv2.INTER_LINEAR
