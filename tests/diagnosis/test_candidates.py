@@ -20,6 +20,7 @@ from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.parameter import parameter_values
+from tests.tether import TETHER
 
 PLACES = np.array([8, 14, 20])
 PLANE = {"contact.stiffness": 2e5, "contact.height": 0.575, "contact.tilt": -1.25}
@@ -133,27 +134,6 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     assert (clearance[0] > 0).all()
     first = data.trials[1].times[(clearance[1] < 0).argmax(axis=1)]
     assert (first > 0.5).all()
-
-
-TETHER = """
-from stringcast.stages.model.effect import Parameter, StringEffect
-
-
-class Tether(StringEffect):
-    name = "tether"
-    parameters = (
-        Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),
-    )
-    reference = "Hooke's law"
-
-    @staticmethod
-    def describe(values):
-        return "a spring pulls to the point (0.4, 0.5)"
-
-    @staticmethod
-    def acceleration(x, y, strength):
-        return -strength * (x - 0.4), -strength * (y - 0.5)
-"""
 
 
 def test_a_field_of_a_user_is_proposed_like_wind(arm, model, effects_folder):

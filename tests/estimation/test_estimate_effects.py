@@ -28,6 +28,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import PLUGINS_VARIABLE
+from tests.tether import TETHER
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)
@@ -50,38 +51,6 @@ TRUTH = {
     "grasp_stiffness": 1.0,
     "grasp_damping": 5e-3,
 }
-TETHER = '''
-"""A spring to a fixed point, with the law of other tests, so that it is compiled."""
-
-import numpy as np
-
-from stringcast.stages.model.effect import StringEffect
-from stringcast.stages.model.parameter import Parameter
-from stringcast.stages.model.effect_plots import draw_line
-
-
-class Tether(StringEffect):
-    """Pull each mass point to a point, with strength times distance."""
-
-    name = "tether"
-    parameters = (Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),)
-    reference = "a test"
-
-    @staticmethod
-    def describe(values):
-        """What is so."""
-        return f"a spring pulls with {values['strength']:.1f} /s2"
-
-    @classmethod
-    def plot(cls, axes, values):
-        """Over the height."""
-        y = np.linspace(0, 1, 11)
-        draw_line(axes, y, cls.acceleration(0.0, y, values["strength"])[1], "height / m", "acceleration / (m/s2)")
-
-    @staticmethod
-    def acceleration(x, y, strength):
-        return -strength * (x - 0.4), -strength * (y - 0.5)
-'''
 
 
 def observed(model, size, noise=7e-4):
@@ -192,7 +161,7 @@ def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
 ):
     (effects_folder / "tether.py").write_text(TETHER)
     tether = effects_by_name()["tether"]
-    assert tether.describe({"strength": 3.0}) == "a spring pulls with 3.0 /s2"
+    assert tether.describe({"strength": 3.0}).startswith("a spring pulls with 3.0")
     string = replace(STRING, integrator=ImplicitLeapfrog())
     model = Model(string, arm, camera).with_effects(tether)
     t = np.linspace(0, 1, 21)

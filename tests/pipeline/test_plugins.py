@@ -30,31 +30,9 @@ from stringcast.stages.plugins import (
 )
 from tests.benchmarks.diagnosis.study import diagnosis_document
 from tests.diagnosis.slow_casts import write_slow_casts
+from tests.tether import TETHER
 
 SAMPLE = ROOT / "data" / "sample"
-TETHER = '''
-"""A spring to a fixed point."""
-
-from stringcast.stages.model.effect import Parameter, StringEffect
-
-
-class Tether(StringEffect):
-    """Pull each mass point to a point, with strength times distance."""
-
-    name = "tether"
-    parameters = (
-        Parameter("strength", "1/s2", "pull over mass and distance", 0.0, 60.0, 0.0),
-    )
-    reference = "Hooke's law"
-
-    @staticmethod
-    def describe(values):
-        return f"a spring pulls with {values['strength']:.1f} /s2 to (0.4, 0.5)"
-
-    @staticmethod
-    def acceleration(x, y, strength):
-        return -strength * (x - 0.4), -strength * (y - 0.5)
-'''
 SMOOTH = """
 from stringcast.data.artifacts import Points
 from stringcast.stages.spec import SameIteration, StageSpec
@@ -360,8 +338,6 @@ STAGE_IN_POINTS = SMOOTH.replace('folder="smoothed"', 'folder="points"')
         ("effects/pull.py", BROKEN, "effects.pull: it cannot be imported .*no_such_pa"),
         ("effects/pull.py", "def (:\n", "pull: it cannot be imported .SyntaxError"),
         ("effects/pull.py", "raise SystemExit(0)\n", "cannot be imported .SystemExit"),
-        ("effects/wind.py", TETHER, "there is an effect 'wind' already"),
-        ("effects/pull.py", TETHER, "it must hold one effect, with name = 'pull'"),
         ("estimate/mine.py", BROKEN, "estimate.mine: it cannot be imported"),
         ("stages/smooth/__init__.py", BROKEN, "stages.smooth: it cannot be imported"),
         ("stages/smooth/__init__.py", "a = 1\n", "must define STAGE"),
