@@ -79,11 +79,13 @@ def interpolate_ticks(
         return ticks[:, whole]
     count = len(ticks)
     positions = np.broadcast_to(position, (count, position.shape[-1]))
-    result = np.zeros((*positions.shape, *ticks.shape[2:]))
+    result = np.empty((*positions.shape, *ticks.shape[2:]))
     ends = np.broadcast_to(last, count)
+    rows = ticks.reshape(*ticks.shape[:2], -1)  # (C, K, 2 n)
+    result_rows = result.reshape(*positions.shape, -1)
 
     def work(first: int, end: int) -> None:
-        _interpolate_candidates(ticks, positions, ends, first, end, result)
+        _interpolate_candidates(rows, positions, ends, first, end, result_rows)
 
     parallel_for(work, count, CANDIDATES_PER_PIECE)
     return result
@@ -107,7 +109,7 @@ def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarra
         others = np.delete(np.arange(nodes), i)[:, None, None]
         cubic = np.prod((offset - others) / (i - others), axis=0)
         weight[..., i] = np.where(place < 0, straight[i], cubic)
-    result = np.zeros((*points.shape[:2], place.shape[1], 2))
+    result = np.empty((*points.shape[:2], place.shape[1], 2))
 
     def work(start: int, end: int) -> None:
         _sum_weighted_points(points, first, weight, start, end, result)
@@ -128,15 +130,17 @@ def _sum_weighted_points(
     """Sum weighted points of candidates from start to before end.
 
     points: (C, F, n, 2). first: of the points that each place lies between, (C, M);
-    weight: of these, (C, M, W). result: zeros (C, F, M, 2), filled in place.
+    weight: of these, (C, M, W). result: (C, F, M, 2), filled in place.
     """
     for c in range(start, end):
         for f in range(points.shape[1]):
             for m in range(first.shape[1]):
+                x, y = 0.0, 0.0
                 for i in range(weight.shape[2]):
                     p = first[c, m] + i
-                    result[c, f, m, 0] += weight[c, m, i] * points[c, f, p, 0]
-                    result[c, f, m, 1] += weight[c, m, i] * points[c, f, p, 1]
+                    x += weight[c, m, i] * points[c, f, p, 0]
+                    y += weight[c, m, i] * points[c, f, p, 1]
+                result[c, f, m, 0], result[c, f, m, 1] = x, y
 
 
 @compile_kernel
@@ -199,8 +203,7 @@ def _interpolate_candidates(
 ) -> None:
     """Interpolate candidates from start to before end.
 
-    ticks: (C, K, n, 2). position: (C, F). last: (C,). result: zeros (C, F, n, 2),
-    filled in place.
+    ticks: (C, K, M). position: (C, F). last: (C,). result: (C, F, M), filled in place.
     """
     weight = np.empty(TIME_NODES)
     for c in range(start, end):
@@ -210,9 +213,10 @@ def _interpolate_candidates(
             offset = position[c, f] - first
             for i in range(TIME_NODES):
                 weight[i] = _lagrange_weight(offset, i, TIME_NODES)
-            for p in range(ticks.shape[2]):
-                x, y = 0.0, 0.0
-                for i in range(TIME_NODES):
-                    x += weight[i] * ticks[c, first + i, p, 0]
-                    y += weight[i] * ticks[c, first + i, p, 1]
-                result[c, f, p, 0], result[c, f, p, 1] = x, y
+            # Innermost over a whole tick, which the compiler turns into vectors
+            row = result[c, f]
+            row[:] = 0.0
+            for i in range(TIME_NODES):
+                tick = ticks[c, first + i]
+                for m in range(len(row)):
+                    row[m] += weight[i] * tick[m]
