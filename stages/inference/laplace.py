@@ -150,6 +150,7 @@ def best_exponents(
 
     # Several starts side by side; the best of them goes on
     likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
+    starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
     runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
     by_scale = data.log_likelihood_by_scale(data.residuals(model, runs.chi))

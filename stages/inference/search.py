@@ -24,7 +24,11 @@ from stringcast.stages.inference.initial_modes import (
 )
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
-from stringcast.stages.inference.solver import MAX_ITERATIONS, fit_least_squares
+from stringcast.stages.inference.solver import (
+    MAX_ITERATIONS,
+    different_places,
+    fit_least_squares,
+)
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.parameter import parameter_values
@@ -37,8 +41,6 @@ MIN_NUMBERS_PER_PARAMETER = 10
 HORIZON_GROWTH = 1.75  # of the horizon, from one to the next
 WHOLE_TRIAL_SHARE = 0.8  # of the longest trial: a longer horizon is the whole trial
 MIN_FINALISTS = 8  # starts that go on, if they have come to different places
-# of the residual, root mean square: runs that differ by less are the same
-SAME_PLACE_TOLERANCE = 0.1
 # of the log-likelihood: such gains still add up along a valley
 REFINEMENT_MIN_GAIN = 0.005
 MAX_REFINEMENT_ROUNDS = 10  # of refinement at most; it mostly takes three
@@ -146,14 +148,10 @@ def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
 
     residual: (R, N). loss: (R,). Returns their numbers, best first.
     """
-    kept: list[int] = []
     count = max(len(loss) // 2, MIN_FINALISTS)
-    for run in np.argsort(loss, kind="stable")[:count]:
-        differences = residual[kept] - residual[run]
-        nearest = np.mean(differences**2, axis=1).min(initial=np.inf)
-        if nearest > SAME_PLACE_TOLERANCE**2 * loss[run]:
-            kept.append(int(run))
-    return kept
+    better = np.argsort(loss, kind="stable")[:count]
+    places = different_places(residual[better], loss[better])
+    return [int(better[place]) for place in places]
 
 
 def refine_solution(

@@ -68,6 +68,9 @@ MAX_VALUE_STEP = 0.5  # of chi: the longest step straight in values
 LEAST_LOSS_RATIO = 1e-300  # of the loss after a step to that before
 SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
+# Of the residual, root mean square: runs that differ by less are in the same place
+SAME_PLACE_TOLERANCE = 0.1
+
 
 class Problem(Protocol):
     """The interface of a least-squares problem that the solver can minimise."""
@@ -200,6 +203,28 @@ def fit_least_squares(
             break
         iterate_runs(problem, runs, min_gain)
     return runs
+
+
+def distinct_starts(problem: Problem, starts: np.ndarray) -> np.ndarray:
+    """Leave out starts (R, P) in the same place as a better one."""
+    if len(starts) < 2:
+        return starts
+    runs = SolverRuns.start(problem, starts)
+    return starts[different_places(runs.residual, runs.loss)]
+
+
+def different_places(residual: np.ndarray, loss: np.ndarray) -> list[int]:
+    """Choose the best run in each place by its number, the best of all first.
+
+    residual: of the runs, (R, N). loss: (R,).
+    """
+    chosen: list[int] = []
+    for run in np.argsort(loss, kind="stable"):
+        differences = residual[chosen] - residual[run]
+        nearest = np.mean(differences**2, axis=1).min(initial=np.inf)
+        if nearest > SAME_PLACE_TOLERANCE**2 * loss[run]:
+            chosen.append(int(run))
+    return chosen
 
 
 def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
