@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from stringcast.stages.inference.huber import huber_loss, huber_weights
 from stringcast.stages.inference.solver import (
     DIVERGED_RESIDUAL,
+    distinct_starts,
     fit_least_squares,
     forward_differences,
     minimise_in_box,
@@ -146,6 +147,18 @@ def test_an_iteration_is_a_few_batches_and_runs_that_are_done_cost_nothing():
     assert problem.asked[:2] == [2, 4]
     assert len(problem.asked) > 4
     assert max(problem.asked[2:]) <= 6
+
+
+def test_of_starts_in_the_same_place_the_best_one_is_kept():
+    worse, best, far = [0.699, 0.5], [0.7, 0.5], [0.1, 0.5]
+    starts = np.array([far, worse, best])
+    losses = huber_loss(Decay().residuals(starts), np.inf)
+    assert losses[2] < losses[1] < losses[0]
+    assert distinct_starts(Decay(), starts).tolist() == [best, far]
+
+    problem = Decay()
+    assert distinct_starts(problem, starts[:1]).tolist() == [far]
+    assert not problem.asked
 
 
 def test_a_run_at_its_optimum_costs_its_differences_only():
