@@ -336,6 +336,7 @@ def test_a_way_takes_as_long_as_its_speed_asks_and_at_least_twenty_ticks(
     arm(wire).move_to((0.0, 0.0, way))
     assert len(wire.sent) == (ticks + 1 if ticks else 0)
     assert np.abs(wire.sent or 0.0).max() <= 2.0 * 1.001
+    assert wire.pose[2] == pytest.approx(way if ticks else 0.0)
 
 
 def test_a_pose_that_is_not_reached_is_gone_to_three_times(now):

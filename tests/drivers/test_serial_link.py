@@ -17,7 +17,6 @@ from rig import (
     ARM,
     DRIVING,
     WATCHDOG,
-    WORKSPACE,
     driver,
     emulator,
     events,
@@ -25,9 +24,8 @@ from rig import (
     standstill,
 )
 
-from stringcast.data.artifacts import JOINTS, LINK, SENT_SPEEDS, TICKS
+from stringcast.data.artifacts import LINK, SENT_SPEEDS, TICKS
 from stringcast.hardware.arm import VelocityArm
-from stringcast.hardware.arm.limits import check_movement
 from stringcast.hardware.arm.loop import reserve_log
 from stringcast.hardware.arm.record import build_performance
 from stringcast.hardware.serial.emulator.device import FAULT_KINDS
@@ -153,32 +151,6 @@ def test_a_wrong_start_is_refused_before_anything_moves(log):
         ):
             arm.perform(shifted)
         assert not {"moving", "moves"} & {e["event"] for e in events(log)}
-
-
-@pytest.mark.parametrize(
-    ("change", "limit"),
-    [
-        (3.0, "range"),
-        (0.12, r"arm\.speed"),
-        (0.01, r"arm\.acceleration"),
-        (float("nan"), "no numbers"),
-    ],
-)
-def test_limits_are_checked_on_the_whole_movement(change, limit):
-    angles = np.zeros((40, 3))
-    angles[20:, 0] = change
-    with pytest.raises(HardwareError, match=limit):
-        check_movement(ARM, WORKSPACE, angles)
-
-
-def test_the_hands_speed_and_the_workspace_are_checked_too():
-    t = np.arange(0, 0.4, 0.005)
-    fast = np.stack([17 * t - 2 * (1 - np.cos(8.5 * t))] * 3, axis=-1) * 0.25
-    with pytest.raises(HardwareError, match="hand_speed"):
-        check_movement(type(ARM)(**{**vars(ARM), "hand_speed": 1.0}), WORKSPACE, fast)
-    tight = type(WORKSPACE)((-0.6, -0.6), (0.6, 0.1))
-    with pytest.raises(HardwareError, match="workspace"):
-        check_movement(ARM, tight, movement()[list(JOINTS)].to_numpy())
 
 
 class Pressed(SerialWire):

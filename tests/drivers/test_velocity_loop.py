@@ -180,18 +180,6 @@ def test_an_exception_at_rest_stops_and_closes_without_a_latch():
     assert wire.said == ["open", "stop", "close"]
 
 
-def test_a_hasty_watchdog_is_refused():
-    wire = Script()
-    wire.watchdog = 0.008
-    with (
-        pytest.raises(
-            HardwareError, match="watchdog of 8 ms is shorter than two ticks"
-        ),
-        driver(wire),
-    ):
-        pass
-
-
 @pytest.mark.parametrize("priority", [0, 10])
 def test_the_loop_leaves_the_process_as_it_found_it(priority):
     before = os.sched_getscheduler(0), gc.isenabled()
@@ -211,17 +199,3 @@ def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
     log.acknowledged = log.sent + 0.002 + 0.006 * (np.arange(40) % 2)
     made = build_performance(log, -0.2, late=0.0025, most_missed=0.0, trips=np.ones(1))
     np.testing.assert_allclose(made.arm["t"], log.sent - 0.2 + 0.001, atol=1e-9)
-
-
-def test_it_goes_to_a_pose_no_faster_than_it_may_and_all_the_way():
-    wire = Script()
-    VelocityArm(ARM, wire, DRIVING).move_to((0.02, -0.3, 0.1))
-    assert np.abs(wire.sent).max() <= 1.001 * DRIVING.approach
-    np.testing.assert_allclose(wire.pose, (0.02, -0.3, 0.1), atol=1e-9)
-
-
-def test_every_tick_is_sent_at_its_moment_and_all_answers_are_awaited():
-    log = VelocityArm(ARM, Script(), DRIVING)._check_and_play(np.zeros((20, 3)))
-    assert (log.sent >= log.due).all()
-    assert np.median(log.sent - log.due) < ARM.tick
-    assert (log.acknowledged >= log.sent).all()
