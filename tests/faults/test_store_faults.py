@@ -231,18 +231,6 @@ def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
             assert value_of(tmp_path / str(number % 3)) >= number
 
 
-def test_a_file_cut_short_anywhere_is_named(tmp_path):
-    store.save(points(1.0), tmp_path / "p", {"made": "by a test"})
-    file = tmp_path / "p" / "points.parquet"
-    whole = file.read_bytes()
-    for length in {*range(0, len(whole), 97), *range(len(whole) - 12, len(whole))}:
-        file.write_bytes(whole[:length])
-        with pytest.raises(
-            DataError, match=r"points\.parquet.*not a whole Parquet file"
-        ):
-            store.load(Points, tmp_path / "p")
-
-
 def test_a_flipped_bit_in_the_numbers_is_noticed(tmp_path):
     values = np.random.default_rng(1).normal(size=500)
     store.write_table(

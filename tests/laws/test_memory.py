@@ -14,7 +14,6 @@ from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
 from stringcast.stages.model.engine.law_slots import (
     MEMORY_SLOTS,
-    law_arguments,
     select_arguments,
 )
 from stringcast.stages.model.engine.simulate import simulate
@@ -279,17 +278,6 @@ def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(
     np.testing.assert_allclose(
         steepest, times * CAP / SLIP * np.eye(3)[where], rtol=1e-3
     )
-
-
-def test_laws_take_what_their_slots_give():
-    for effect in HOLDING:
-        own = {*KNOWN[effect.name], *effect.derive_parameters(**KNOWN[effect.name])}
-        for state in STATES.keys() & effect.laws().keys():
-            assert set(law_arguments(effect.laws()[state])) - own <= {
-                "memory",
-                "change",
-                "dt",
-            }
 
 
 def test_several_of_a_kind_are_named_by_numbers(arm):

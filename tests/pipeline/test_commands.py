@@ -25,7 +25,6 @@ from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
-from stringcast.pipeline.run.provenance import code_state, code_state_with
 from stringcast.pipeline.settings.composition import UserError
 from tests.faults.toy import contents, rows, toy_experiment, toy_run
 
@@ -191,17 +190,6 @@ def test_after_a_change_of_the_code_every_step_is_made_again(run, monkeypatch):
     assert made == ["generate", "execute", "extract", "estimate"] * 2
     assert "the code has changed" in said
     assert toy_run(run, toy_experiment())[0] == []
-
-
-def test_plugins_are_part_of_the_code(plugin):
-    digests = set()
-    for text in ("", "a = 1\n", "a = 2\n"):
-        if text:
-            (plugin / "helpers.py").write_text(text)
-        code_state_with.cache_clear()
-        digests.add(code_state()["source"])
-    code_state_with.cache_clear()
-    assert len(digests) == 3
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):

@@ -213,8 +213,3 @@ def test_keys_that_nobody_knows_are_kept(tmp_path):
     }
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
     assert read_metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
-    (tmp_path / "dataset.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(
-        DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"
-    ):
-        read_metadata(tmp_path)
