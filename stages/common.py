@@ -13,6 +13,8 @@ import numpy as np
 
 Progress = Callable[[float], object]  # called with the share of a stage that is done
 MM_PER_M = 1e3  # [mm] in a metre
+GRAVITY_M_S2 = 9.81
+NORMAL_95 = 1.96  # half of a 95 % interval in standard deviations
 # standard deviation over median magnitude, of a normal distribution
 MAD_TO_SIGMA = 1.4826
 # points of two frames that lie so close along the string belong to one place

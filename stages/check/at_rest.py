@@ -7,10 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from stringcast.stages.check.consistency.record import arm_poses
+from stringcast.stages.check.consistency.record import REST_FRAMES, arm_poses
 from stringcast.stages.common import step_lengths
-
-REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
 
 def grasp_poses(

@@ -8,6 +8,7 @@ import numpy as np
 
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
+from stringcast.stages.common import NORMAL_95
 
 MAX_INTERVAL_S = 0.5  # samples further apart do not show the motion of any string
 MIN_SAMPLES_FOR_UNIT = 10
@@ -17,7 +18,6 @@ TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 MIN_COVERED_SHARE = 0.5
 RATE_TOLERANCE = 0.05  # relative difference of fps from the rate of the times
 MIN_RATE_DIFFERENCE = 0.002  # smaller ones shift a trial of a second by half a frame
-NORMAL_95 = 1.96
 # rates at which frames may have been filmed, and frames that they distinguish
 TRIED_RATES, MAX_RATE_FRAMES = 501, 1000
 # the string may begin to move so much before and after the hand

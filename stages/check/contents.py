@@ -27,9 +27,12 @@ from stringcast.stages.check.consistency.check import (
     unknown_arm_fields,
 )
 from stringcast.stages.check.finding import Finding, error, note, warning
-from stringcast.stages.check.measured import MAX_LOST_SHARE, CheckedDataset
+from stringcast.stages.check.measured import (
+    MAX_LOST_SHARE,
+    SUSPICIOUS_LOST_SHARE,
+    CheckedDataset,
+)
 
-SUSPICIOUS_LOST_SHARE = 0.1  # of the rows
 MIN_NAME_SIMILARITY = 0.75
 # measured noise may be so many times larger and smaller than the stated noise
 NOISE_RATIO_HIGH, NOISE_RATIO_LOW = 5.0, 3.0

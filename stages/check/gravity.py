@@ -10,8 +10,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from stringcast.stages.check.measured import GRAVITY, CheckedTrial, drop_spikes
-from stringcast.stages.common import turn_left
+from stringcast.stages.check.measured import CheckedTrial, drop_spikes
+from stringcast.stages.common import GRAVITY_M_S2, NORMAL_95, turn_left
 
 # a parabola is fitted over so long: a fast tip turns little in it
 WINDOW_S = 0.04
@@ -21,7 +21,6 @@ MIN_WINDOWS = 20
 # rms sine of the angle of the string's end to the vertical: a string that only hangs
 # does not show how it falls
 MIN_SINE = 0.1
-NORMAL_95 = 1.96
 # relative arc length: the piece from there to the tip gives the direction of the end
 DIRECTION_FROM = 0.75
 TIP_FROM = 0.95  # relative arc length from which a point counts as the tip
@@ -78,7 +77,7 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     # windows overlap: only every size-th is independent
     independent = max(len(middle) / size, 1.0)
     error = float(np.sqrt(variance / mean_square / independent))
-    if NORMAL_95 * error > max(abs(gravity), GRAVITY):
+    if NORMAL_95 * error > max(abs(gravity), GRAVITY_M_S2):
         return float("nan")
     return gravity
 

@@ -15,6 +15,7 @@ from stringcast.data.dataset import Dataset
 from stringcast.data.lost_samples import zero_row_mask
 from stringcast.data.rows import spike_mask
 from stringcast.stages.common import (
+    GRAVITY_M_S2,
     interpolate_rows,
     mad_sigma,
     places_wander,
@@ -34,7 +35,6 @@ MAX_REPEATED_SHARE = 0.2  # of coordinates that stay the same to the last digit
 # frames so far apart scatter so many times as much, if a track is smoothed
 SMOOTHING_STRIDE, MIN_SMOOTHING_RATIO = 4, 2.0
 CLEAR_SIGMAS = 8.0  # so many noise sigmas are certainly motion
-GRAVITY = 9.81  # [m/s2]
 # frequency of the second mode of a hanging string in sqrt(g / length): half the second
 # zero of Bessel's J0
 SECOND_MODE = 2.76
@@ -43,6 +43,7 @@ SAMPLES_PER_PERIOD = 4.0
 # if more than a tenth of the steps between frames exceed this share of the length, the
 # string may swing between frames
 LEAP_QUANTILE, LEAP_DISTANCE = 0.9, 0.1
+SUSPICIOUS_LOST_SHARE = 0.1  # of the rows
 MAX_LOST_SHARE = 0.8  # of the rows: beyond, nothing is concluded
 
 
@@ -147,7 +148,7 @@ class CheckedTrial:
     @property
     def least_rate(self) -> float:
         """Lowest rate that shows how a limp string of this length swings [1/s]."""
-        root = float(np.sqrt(GRAVITY / self.length))
+        root = float(np.sqrt(GRAVITY_M_S2 / self.length))
         return SAMPLES_PER_PERIOD * SECOND_MODE / (2 * np.pi) * root
 
     @cached_property

@@ -11,7 +11,8 @@ from stringcast.stages.check.clocks import time_unit_factor, usual_interval
 from stringcast.stages.check.consistency.check import impossible_trials
 from stringcast.stages.check.finding import Finding, note, warning
 from stringcast.stages.check.gravity import median_gravity
-from stringcast.stages.check.measured import GRAVITY, CheckedDataset, CheckedTrial
+from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
+from stringcast.stages.common import GRAVITY_M_S2
 
 # a joint's reading may stay the same to the last digit so long while others change
 MAX_FROZEN_S = 0.1
@@ -88,12 +89,12 @@ def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
     if any(time_unit_factor(trial.frame_t) != 1 for trial in dataset.with_points()):
         return
     gravity = median_gravity(dataset.informative_trials())
-    if gravity < GRAVITY / GRAVITY_RATIO_LOW:
+    if gravity < GRAVITY_M_S2 / GRAVITY_RATIO_LOW:
         remedy = (
             "Of slow motion count the frames as filmed: either times are too long, or "
             "lengths too small"
         )
-    elif gravity > GRAVITY * GRAVITY_RATIO_HIGH:
+    elif gravity > GRAVITY_M_S2 * GRAVITY_RATIO_HIGH:
         remedy = (
             "See in which unit lengths and times are; a very stiff string may seem to "
             "fall so fast"
@@ -102,7 +103,7 @@ def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
         return
     statement = (
         f"the string's end falls with {gravity:.2g} m/s2 as it seems, and not with "
-        f"{GRAVITY}"
+        f"{GRAVITY_M_S2}"
     )
     yield warning(dataset.points_file, "t, x, y", statement, remedy)
 

@@ -12,10 +12,9 @@ import numpy as np
 from stringcast.data.artifacts import JOINTS
 from stringcast.data.rows import spike_mask
 from stringcast.stages.check.finding import Finding, error, note, warning
-from stringcast.stages.check.measured import CheckedDataset
+from stringcast.stages.check.measured import SUSPICIOUS_LOST_SHARE, CheckedDataset
 from stringcast.stages.common import step_lengths
 
-SUSPICIOUS_LOST_SHARE = 0.1  # of a trial's points
 GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the length
 MIN_OUTLIERS = 3
 COARSE_STEP = 0.005  # of a grid of positions, relative to the length

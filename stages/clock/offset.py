@@ -35,14 +35,14 @@ from stringcast.stages.clock.windows import (
     possible_windows,
     stretch_by_offset,
 )
-from stringcast.stages.common import Progress, partial_progress
+from stringcast.stages.common import NORMAL_95, Progress, partial_progress
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
 
-# Half widths of intervals in standard deviations: 1.96, widened as in a diagnosis
-HALF_WIDTH = 1.4 * 1.96
+# Half widths of intervals in standard deviations, widened as in a diagnosis
+HALF_WIDTH = 1.4 * NORMAL_95
 # No camera stamps its frames better than this share of the time between them.
 STAMP_UNCERTAINTY_FRAMES = 0.1
 EDGE_S = 0.02  # sought so far beyond the window that geometry leaves
@@ -400,5 +400,5 @@ def _trials_differ(apart: BackgroundPosterior, frame_s: float) -> bool:
     difference = contrast @ apart.mean
     covariance = contrast @ apart.covariance @ contrast.T
     square = float(difference @ np.linalg.solve(covariance, difference))
-    widening = HALF_WIDTH / 1.96
+    widening = HALF_WIDTH / NORMAL_95
     return bool(chdtrc(count - 1, square / widening**2) < SIGNIFICANCE)

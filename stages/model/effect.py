@@ -38,6 +38,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
+from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.model import effect_plots
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect_plots import draw_line
@@ -324,7 +325,7 @@ def moment_percent_of_weight(moment: float) -> float:
 
     moment: over mass per length [m3/s2].
     """
-    return 100 * moment / (9.81 * 0.1**2 / 2)
+    return 100 * moment / (GRAVITY_M_S2 * 0.1**2 / 2)
 
 
 @cache

@@ -17,7 +17,6 @@ from matplotlib.style import context as style_context
 from PIL import Image
 
 STYLE_SHEET = Path(__file__).parent / "theme.mplstyle"
-MM_PER_M = 1e3  # [mm] in a metre
 MS_PER_S = 1e3  # [ms] in a second
 WEBP_QUALITY = 50
 WEBP_METHOD = 1  # takes a third of the time of the default, for frames a tenth larger

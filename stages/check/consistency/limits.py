@@ -9,7 +9,12 @@ from itertools import combinations
 import numpy as np
 
 from stringcast.data.dataset import MAX_ARC_LENGTH_RATIO
-from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.consistency.record import (
+    MIN_OVERLAP,
+    Measurements,
+    Recording,
+    Track,
+)
 from stringcast.stages.common import interpolate_rows, step_lengths
 
 # no point is so much further from the hand than its arc length, relative to the length
@@ -22,7 +27,6 @@ MAX_HAND_SPEED = 40.0  # [m/s]
 SPEED_QUANTILE = 0.95  # so many steps must be possible: others may be outliers
 INITIAL_FRAMES = 10  # wrong clocks matter least at the beginning
 OFFSET_COUNT = 81  # clock offsets that are tried
-MIN_OVERLAP = 0.6
 
 
 @dataclass(frozen=True)

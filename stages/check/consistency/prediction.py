@@ -12,7 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.consistency.record import (
+    MIN_OVERLAP,
+    Measurements,
+    Recording,
+    Track,
+)
+from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.hand import resample_hand_motion
@@ -45,13 +51,11 @@ DAMPING_TIME_S = 1e-3  # damping over stiffness
 TICK_S = 0.005
 LEAD_S = 0.3  # of rest before the motion
 MAX_DURATION_S = 10.0
-GRAVITY = 9.81  # [m/s2]
 MOVED_SHARE = 0.03  # of the length: beyond, a place was left
 MIN_HAND_PATH = 0.1  # in lengths: a shorter path predicts nothing
 MAX_FRAMES = 60  # of a track
 MIN_FRAMES = 5
 OFFSET_STEP_S = 0.02
-MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
 # arc lengths that are tried where none is stated, in lengths
 ARC_LENGTH_GRID = np.arange(0.2, 1.001, 0.1)
 
@@ -162,7 +166,7 @@ def motion_span(
     distance = np.linalg.norm(xy - first_place, axis=1)
     onset = first_beyond(t, distance, MOVED_SHARE * length, float(t[0]))
     swung = first_beyond(t, distance, horizon.swung * length, float(t[-1]))
-    duration = horizon.duration * float(np.sqrt(length / GRAVITY))
+    duration = horizon.duration * float(np.sqrt(length / GRAVITY_M_S2))
     until = min(max(onset + duration, swung), onset + MAX_DURATION_S)
     return MotionSpan(onset - LEAD_S, until, float(np.quantile(distance, 0.95)))
 

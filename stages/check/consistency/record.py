@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
 REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.model.engine.stability import (
     SAMPLED_ARGUMENTS,
     load_sum,
@@ -19,7 +20,6 @@ from stringcast.stages.model.engine.stability import (
 )
 from stringcast.stages.model.string import String
 
-GRAVITY_M_S2 = 9.81
 MAX_ITERATIONS = 200  # Newton steps
 MAX_TURN_RAD = 0.3  # of a segment in one iteration
 # [m3/s2] of what resists a turn, so that a string without stiffness can be turned

@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.formatting import superscript
-from stringcast.stages.report.theme import MM_PER_M, MS_PER_S
+from stringcast.stages.report.theme import MS_PER_S
 
 MAX_STRING_CELLS, MAX_TIME_CELLS = 30, 100
 TARGET_STYLE: dict[str, Any] = {"fill": False, "edgecolor": "target", "lw": 1.8}

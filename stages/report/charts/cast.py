@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Estimate
-from stringcast.stages.common import rms
+from stringcast.stages.common import MM_PER_M, rms
 from stringcast.stages.hit_test import MAX_GAP_S
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.report.charts.axes import (
@@ -32,7 +32,6 @@ from stringcast.stages.report.formatting import (
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import CastRecord, RunRecord
 from stringcast.stages.report.theme import (
-    MM_PER_M,
     MS_PER_S,
     Picture,
     svg_picture,

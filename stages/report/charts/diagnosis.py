@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.report.charts.axes import add_legend_above, new_axes
 from stringcast.stages.report.formatting import (
@@ -17,7 +18,7 @@ from stringcast.stages.report.formatting import (
     format_ms,
 )
 from stringcast.stages.report.records import MAX_DRAWN_TRIALS, DiagnosisRecord
-from stringcast.stages.report.theme import MM_PER_M, MS_PER_S, Picture, svg_picture
+from stringcast.stages.report.theme import MS_PER_S, Picture, svg_picture
 
 MAX_BARS = 14
 LONGEST_ARROW_IN = 0.28

@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.model.box import Box
 from stringcast.stages.report.charts.axes import (
     OBSTACLE_STYLE,
@@ -22,7 +23,7 @@ from stringcast.stages.report.charts.axes import (
 from stringcast.stages.report.charts.cast import break_at_gaps
 from stringcast.stages.report.formatting import format_mm, format_rate, format_value
 from stringcast.stages.report.records import EXPERIMENT_LABELS, PaperFigure, PaperRecord
-from stringcast.stages.report.theme import MM_PER_M, MS_PER_S
+from stringcast.stages.report.theme import MS_PER_S
 
 # --- shapes of the string
 LINE_STYLES: dict[str, dict[str, Any]] = {

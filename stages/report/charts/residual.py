@@ -10,6 +10,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.report.charts.axes import (
     add_legend_above,
     draw_map,
@@ -20,7 +21,6 @@ from stringcast.stages.report.formatting import format_count, format_mm, join_na
 from stringcast.stages.report.page import Chart, Line
 from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
 from stringcast.stages.report.theme import (
-    MM_PER_M,
     Picture,
     svg_picture,
 )

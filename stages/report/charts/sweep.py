@@ -9,10 +9,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.report.charts.axes import label_decades, new_axes
 from stringcast.stages.report.formatting import format_mean, format_value
 from stringcast.stages.report.outcomes import Outcome, mean_response
-from stringcast.stages.report.theme import MM_PER_M, Picture, svg_picture
+from stringcast.stages.report.theme import Picture, svg_picture
 
 MIN_LOG_AXIS_RATIO = 20  # of the levels of a setting on a logarithmic axis
 EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15

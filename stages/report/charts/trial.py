@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.common import interpolate_rows, step_lengths
-from stringcast.stages.report.theme import MM_PER_M, MS_PER_S, STYLE_SHEET
+from stringcast.stages.common import MM_PER_M, interpolate_rows, step_lengths
+from stringcast.stages.report.theme import MS_PER_S, STYLE_SHEET
 
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
 LATER_POSE_OPACITY = 0.25

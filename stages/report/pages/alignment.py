@@ -11,6 +11,7 @@ from matplotlib import style
 from matplotlib.figure import Figure as Drawing
 
 from stringcast.data.alignment import Alignment
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import format_mm
 from stringcast.stages.report.page import (
@@ -26,7 +27,6 @@ from stringcast.stages.report.page import (
 )
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import (
-    MM_PER_M,
     MS_PER_S,
     STYLE_SHEET,
     Picture,

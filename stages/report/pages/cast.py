@@ -16,7 +16,7 @@ from stringcast.data.artifacts import (
     Explanation,
     Surprise,
 )
-from stringcast.stages.common import describe_causes, readable_name
+from stringcast.stages.common import MM_PER_M, describe_causes, readable_name
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.model import Model
@@ -77,7 +77,7 @@ from stringcast.stages.report.page import (
     table_card,
 )
 from stringcast.stages.report.records import CastRecord, RunRecord
-from stringcast.stages.report.theme import FRAME_COLOURS, MM_PER_M, STYLE_SHEET
+from stringcast.stages.report.theme import FRAME_COLOURS, STYLE_SHEET
 
 NOTHING_READ = "No frame of this cast could be read, so there is no comparison."
 NO_JOINT_ANGLES = "The arm reported no joint angles."
