@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.common import Progress, mad_sigma
+from stringcast.stages.common import GRAVITY_M_S2, Progress, mad_sigma
 from stringcast.stages.inference.huber import HUBER_LIMIT
 from stringcast.stages.inference.initial_modes import (
     INITIAL_SPAN_S,
@@ -32,7 +32,6 @@ from stringcast.stages.inference.solver import (
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.parameter import parameter_values
-from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 
 # The first horizon in sqrt(L/g): a quarter of the period of a limp hanging string
 FIRST_HORIZON = np.pi / 2.405
