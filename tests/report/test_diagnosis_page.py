@@ -327,9 +327,15 @@ def pages(written):
 
 
 @pytest.fixture
-def worded(write, undrawn):
-    """Return `write` with pictures that are empty except for their words."""
-    return write
+def page_of(write, undrawn):
+    """Return a function that reads a page, whose pictures are only words."""
+    return lambda *given, **facts: Page(write(*given, **facts))
+
+
+def with_document(made, **parts):
+    """Return a diagnosis with other parts of its document."""
+    document = json.loads(made.finding["diagnosis"].iloc[0]) | parts
+    return replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
 
 
 # --- every verdict
@@ -452,118 +458,84 @@ def test_the_same_record_gives_the_same_page(write, written):
     assert write(VERDICTS["effect"]()) == written["effect"]
 
 
-def test_what_data_say_cannot_become_code(worded):
+def test_what_data_say_cannot_become_code(page_of):
     evil = "</p><img src=x onerror=alert(1)>"
-    page = Page(
-        worded(
-            diagnosed("none", sentence=evil, left=evil, rejected={evil: evil}),
-            name=evil,
-            settings={evil: evil},
-        )
-    )
+    made = diagnosed("none", sentence=evil, left=evil, rejected={evil: evil})
+    page = page_of(made, name=evil, settings={evil: evil})
     assert not [a for _, a in page.elements if "onerror" in a]
     assert page.text.count(evil) >= 6
 
 
-def test_the_budget_is_shown_where_there_is_one(worded):
+def test_the_budget_is_shown_where_there_is_one(page_of):
     made = diagnosed("effect", ["tip_mass"])
-    document = json.loads(made.finding["diagnosis"].iloc[0])
-    document["budget"] = [
-        {"source": "tip_mass", "tip_rms_m": 0.00207, "log_evidence": 1570.9}
-    ]
-    document["budget"] += [{"source": "noise", "tip_rms_m": 0.0009}]
-    document["unexplained"] |= {
+    assert "Error budget" not in page_of(made).text
+    unexplained = json.loads(made.finding["diagnosis"].iloc[0])["unexplained"]
+    unexplained |= {
         "tip_rms_m": {"value": 0.0, "low": 0.0, "high": 1.1e-4},
         "tolerance_m": 0.002,
     }
-    page = Page(
-        worded(
-            replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
-        )
-    )
-    assert (
-        "Unexplained: 0.0 mm (0.0 mm to 0.1 mm, 95 %); tolerance: 2.0 mm." in page.text
-    )
+    budget = [
+        {"source": "tip_mass", "tip_rms_m": 0.00207, "log_evidence": 1570.9},
+        {"source": "noise", "tip_rms_m": 0.0009},
+    ]
+    text = page_of(with_document(made, budget=budget, unexplained=unexplained)).text
+    assert "Unexplained: 0.0 mm (0.0 mm to 0.1 mm, 95 %); tolerance: 2.0 mm." in text
     for words in ("tip mass 2.07 mm 1 571", "noise 0.90 mm"):
-        assert words in re.sub(r"\s+", " ", page.text)
-    assert "Error budget" not in Page(worded(diagnosed("effect", ["tip_mass"]))).text
+        assert words in re.sub(r"\s+", " ", text)
 
 
-def test_parameters_have_their_intervals_and_look_alikes_their_correlation(worded):
+def test_parameters_have_their_intervals_and_look_alikes_their_correlation(page_of):
     alike = pd.DataFrame(
         [("arm_lag", "time_offset", 0.9964)], columns=["effect", "other", "cosine"]
     )
     made = diagnosed("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
-    document = json.loads(made.finding["diagnosis"].iloc[0])
-    document["base"] = {
+    base = {
         "parameters": {"linear_drag": 0.3},
         "intervals": {"linear_drag": [0.28, 0.33]},
     }
     together = [{"parameters": ["linear_drag", "quadratic_drag"], "value": -0.854}]
-    document["extended"] = {
-        "intervals": {"linear_drag": [0.36, 0.38]},
-        "correlations": together,
-    }
-    page = Page(
-        worded(
-            replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
-        )
-    )
-    assert (
-        "These data do not distinguish arm lag and time offset (correlation 0.996)."
-        in page.text
-    )
-    assert "0.300 0.280 to 0.330 0.370 0.360 to 0.380 +23 %" in page.text
-    assert "Correlated parameters: linear drag and quadratic drag (−0.85)." in page.text
+    extended = {"intervals": {"linear_drag": [0.36, 0.38]}, "correlations": together}
+    text = page_of(with_document(made, base=base, extended=extended)).text
+    for words in (
+        "These data do not distinguish arm lag and time offset (correlation 0.996).",
+        "0.300 0.280 to 0.330 0.370 0.360 to 0.380 +23 %",
+        "Correlated parameters: linear drag and quadratic drag (−0.85).",
+    ):
+        assert words in text
 
 
-def test_too_few_mass_points_have_no_parameter(worded):
+def test_too_few_mass_points_have_no_parameter(page_of):
     causes = caused(["tip_mass"]).assign(
         effect="resolution", parameter="", value=np.nan, low=np.nan, high=np.nan
     )
-    page = Page(
-        worded(
-            diagnosed("effect", causes=causes, sentence="It has too few mass points.")
-        )
-    )
+    made = diagnosed("effect", causes=causes, sentence="It has too few mass points.")
+    page = page_of(made)
     assert "The maps are those of 17 mass points instead of 10" in page.text
     assert not re.search(r"\bnan\b", page.text)
 
 
-def test_nothing_measured_has_a_page(worded):
+def test_nothing_measured_has_a_page(page_of):
     empty = {
         name: Diagnosis.TABLES[name].empty()
         for name in ("residuals", "hypotheses", "held_out")
     }
-    page = Page(
-        worded(
-            diagnosed(
-                "insufficient", gain={"held_out_trials": []}, **nothing_tried() | empty
-            )
-        )
-    )
+    nothing = {"gain": {"held_out_trials": []}, **nothing_tried(), **empty}
+    page = page_of(diagnosed("insufficient", **nothing))
     assert "Nothing was measured that could be compared." in page.text
     assert page.all("img") == []
 
 
-def test_an_interrupted_search_is_said_to_be(worded):
-    made = diagnosed(
-        "insufficient",
-        left="The search for causes was interrupted, when it had come to none.",
-    )
-    text = json.dumps(
-        json.loads(made.finding["diagnosis"].iloc[0]) | {"interrupted": True}
-    )
-    said = Page(worded(replace(made, finding=made.finding.assign(diagnosis=text)))).text
+def test_an_interrupted_search_is_said_to_be(page_of):
+    left = "The search for causes was interrupted, when it had come to none."
+    made = diagnosed("insufficient", left=left)
+    said = page_of(with_document(made, interrupted=True)).text
     assert "No cause is named, because the search is incomplete." in said
     assert "do not allow a diagnosis" not in said
     assert "requires more data" not in said
 
 
-def test_a_search_is_described_where_there_was_one(worded):
-    said = Page(
-        worded(diagnosed("unknown", left="What is left looks like a force."))
-    ).text
+def test_a_search_is_described_where_there_was_one(page_of):
+    said = page_of(diagnosed("unknown", left="What is left looks like a force.")).text
     assert "too small for a search" not in said
     assert "The effect with the most evidence is added" in said
     assert "without the strongest trial" in said
@@ -601,13 +573,9 @@ def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
         assert not one.overlaps(other)
 
 
-def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(worded):
-    many = measured(trials=MAX_DRAWN_TRIALS + 4)
-    page = Page(
-        worded(
-            diagnosed("effect", ["tip_mass"], residuals=many, hypotheses=hypotheses(40))
-        )
-    )
+def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(page_of):
+    many = {"residuals": measured(trials=MAX_DRAWN_TRIALS + 4)}
+    page = page_of(diagnosed("effect", ["tip_mass"], hypotheses=hypotheses(40), **many))
     drawn = {a["aria-label"].split()[4] for tag, a in page.elements if tag == "canvas"}
     assert drawn == {f"t{number:02d}" for number in range(4, MAX_DRAWN_TRIALS + 4)}
     assert (
@@ -764,32 +732,23 @@ def predicted(off=0.005):
     )
 
 
-def test_the_motion_proposed_is_shown_where_the_hypotheses_are_farthest_apart(worded):
+def test_the_motion_proposed_is_shown_where_the_hypotheses_are_farthest_apart(page_of):
+    alike = ["arm_lag", "time_offset"]
     following = {"sentence": "One of 300 motions tells them apart."}
-    page = worded(
-        diagnosed(
-            "ambiguous",
-            ["arm_lag", "time_offset"],
-            following=following,
-            predicted=predicted(),
-        )
-    )
-    assert following["sentence"] in page
-    assert "The proposed motion at 200" in page
-    assert "time offset 5.0" in page
-    hopeless = worded(
-        diagnosed(
-            "ambiguous",
-            ["arm_lag", "time_offset"],
-            following={"sentence": "No motion."},
-        )
-    )
-    assert "No motion." in hopeless
-    assert "The proposed motion" not in hopeless
-    assert "Next experiment" not in worded(VERDICTS["effect"]())
+    made = diagnosed("ambiguous", alike, following=following, predicted=predicted())
+    page = page_of(made)
+    assert following["sentence"] in page.text
+    words = " ".join(image["alt"] for image in page.all("img"))
+    assert "The proposed motion at 200" in words
+    assert "time offset 5.0" in words
+    made = diagnosed("ambiguous", alike, following={"sentence": "No motion."})
+    hopeless = page_of(made)
+    assert "No motion." in hopeless.text
+    assert not any("proposed" in image["alt"] for image in hopeless.all("img"))
+    assert "Next experiment" not in page_of(VERDICTS["effect"]()).text
 
 
-def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
+def test_a_trial_that_is_predicted_worse_is_said_to_be(page_of):
     """A trial that is predicted worse is reported.
 
     A plane that one trial alone reaches is no use elsewhere; nor is a false cause. Both
@@ -798,9 +757,8 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
     table = held_out()
 
     def text(**columns):
-        return Page(
-            worded(diagnosed("effect", ["tip_mass"], held_out=table.assign(**columns)))
-        ).text
+        made = diagnosed("effect", ["tip_mass"], held_out=table.assign(**columns))
+        return page_of(made).text
 
     worse = {"rms_extended": [0.0537, 0.0010]}
     said = text(**worse)
@@ -817,18 +775,18 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(worded):
         assert "worse" not in text(**columns)
 
 
-def test_it_says_which_trials_the_gain_is_of(worded):
+def test_it_says_which_trials_the_gain_is_of(page_of):
     """The page names the trials of the gain.
 
     They were held out, or left out of the fit in turn. An unknown rate is not given as
     a number.
     """
-    turn = Page(worded(diagnosed("effect", ["tip_mass"]))).text
+    turn = page_of(diagnosed("effect", ["tip_mass"])).text
     assert "Each trial was predicted by both models fitted to the others." in turn
     assert "chosen from all trials" in turn
     unknown = {"matching_rate": {"base": None, "extended": None}}
     told = GAIN | {"held_out_trials": ["t07"]} | unknown
-    aside = Page(worded(diagnosed("effect", ["tip_mass"], gain=told))).text
+    aside = page_of(diagnosed("effect", ["tip_mass"], gain=told)).text
     assert (
         "These trials were excluded from the search and predicted by both models fitted to the others."
         in aside
