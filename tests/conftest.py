@@ -276,6 +276,13 @@ def undrawn(monkeypatch):
     )
 
 
+@pytest.fixture
+def undrawn_trial(monkeypatch):
+    """Draw no first trial of an import."""
+    place = "stringcast.pipeline.commands.import_.draw_first_trial"
+    monkeypatch.setattr(place, lambda *given: None)
+
+
 @contextmanager
 def threads(number):
     """Run the block with a number of Numba's threads."""

@@ -236,7 +236,8 @@ class Model(Parametrised):
         """Return a state of the camera's clock by the arm's. values: (C, P)."""
         if initial is None:
             return None
-        return initial.with_time(self._arm_times(values, np.array([initial.t]))[..., 0])
+        arm_time = self._arm_times(values, np.array([initial.t]))[..., 0]
+        return replace(initial, t=arm_time)
 
     def required_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return times of the arm's clock at which `observed_points` needs points.

@@ -37,10 +37,6 @@ class StringState:
     rate: np.ndarray
     memory_reversal: float | np.ndarray = 0.0
 
-    def with_time(self, t: float | np.ndarray) -> StringState:
-        """Return the state at another time, of another clock for instance."""
-        return replace(self, t=t)
-
     def times_since_start(self, times: np.ndarray) -> np.ndarray:
         """Count times (F,) or (C, F) [s] as a simulation from this state does.
 

@@ -85,12 +85,8 @@ def benches():
 
 @pytest.mark.parametrize(("name", "points", "mistake"), list(cases()))
 def test_a_mistake_ends_in_its_correction_or_a_clear_error(
-    benches, called, tmp_path, monkeypatch, name, points, mistake
+    benches, called, tmp_path, undrawn_trial, name, points, mistake
 ):
-    # drawing takes most of the time
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     truth = benches(name, points)
     if mistake.startswith("fps"):
         truth = truth.with_rate(1.0)  # whose frames are even

@@ -108,16 +108,12 @@ def logs(folder, sample, clock=81.0, **how):
 
 
 def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
-    sample, called, tmp_path, monkeypatch
+    sample, called, tmp_path, undrawn_trial
 ):
     """A robot's log and a tracker's table become the dataset that they record.
 
     Units come from the columns' names, clocks 81 s apart from the motion.
     """
-    # drawing takes most of the time
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     robots, trackers = logs(tmp_path, sample)
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert done.returncode == 0, done.stderr
@@ -141,15 +137,11 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
     assert (again.returncode, "rm -r" in again.stderr) == (2, True)
 
 
-def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
+def test_the_tutorial_goes_as_its_page_says(called, tmp_path, undrawn_trial):
     """The tutorial runs as its page says, up to the diagnosis.
 
     That covers what it imports, and what is reported of that.
     """
-    # drawing takes most of the time
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     page = (ROOT / "data/tutorial/README.md").read_text(encoding="utf-8")
     words = (
         re.search(r"pipeline import (.*)", page)[1]
@@ -171,16 +163,12 @@ def test_the_tutorial_goes_as_its_page_says(called, tmp_path, monkeypatch):
 
 
 def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
-    sample, called, tmp_path, monkeypatch
+    sample, called, tmp_path, undrawn_trial
 ):
     """Other units and directions are detected and reported.
 
     Arm and string reveal millimetres, degrees and y down.
     """
-    # drawing takes most of the time
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     for number, (arm, tips) in enumerate(sample):
         angles = np.degrees(arm[["q1", "q2", "q3"]]).assign(t=arm["t"])
         angles.to_csv(tmp_path / f"arm{number}.csv", index=False)
@@ -201,12 +189,9 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
 
 @pytest.mark.parametrize("together", [False, True], ids=["own file", "one file"])
 def test_y_down_is_mended_beside_poses_of_the_hand(
-    sample, called, tmp_path, monkeypatch, together
+    sample, called, tmp_path, undrawn_trial, together
 ):
     """Points in a file of their own are turned; an option would turn both in one."""
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     angles = sample[0][0][["q1", "q2", "q3"]].to_numpy()
     x, y, theta = arm_poses(angles, (0.25, 0.2, 0.135), (0.2, 0.2)).T
     hand = pd.DataFrame(
@@ -309,11 +294,8 @@ def test_that_the_geometry_was_measured_is_stated_in_the_dataset(
 
 
 def test_programs_get_the_command_and_what_was_found(
-    sample, called, tmp_path, monkeypatch
+    sample, called, tmp_path, undrawn_trial
 ):
-    monkeypatch.setattr(
-        "stringcast.pipeline.commands.import_.draw_first_trial", lambda *_: None
-    )
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     folder = tmp_path / "mine"
     done = called("import", *robots, *trackers, "--json", "--to", folder, *BENCH)
