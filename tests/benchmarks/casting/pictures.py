@@ -12,7 +12,8 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
+from stringcast.stages.common import MM_PER_M
+from stringcast.stages.report.theme import LIGHT_COLOURS, STYLE_SHEET
 from tests.benchmarks.casting.scores import ALL_CASES, TARGET_SHARE
 from tests.benchmarks.shares import error_bars
 

@@ -13,7 +13,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stringcast.stages.report.theme import LIGHT_COLOURS, MM_PER_M, STYLE_SHEET
+from stringcast.stages.common import MM_PER_M
+from stringcast.stages.report.theme import LIGHT_COLOURS, STYLE_SHEET
 
 # colours of sets, in their order within a family
 COLOURS = ("before", "target", "after", "measured")
