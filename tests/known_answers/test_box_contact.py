@@ -10,6 +10,7 @@ from stringcast.stages.model.engine.integrators import RungeKutta4
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.known_answers.swinging import mechanical_energy
 
 BOX = {"centre_x": 0.3, "centre_y": -0.2, "width": 0.06, "height": 0.1}
 STIFFNESS = 2e4
@@ -236,18 +237,7 @@ def ledger(points, t, boxes, stiffness):
 
     It is that of speed, height, stretch, bending and depth.
     """
-    velocity = np.gradient(points, t, axis=0)
-    segment = np.diff(points, axis=1)
-    bend = np.diff(
-        np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1
-    )
-    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[
-        :, 1:, 1
-    ].sum(axis=1)
-    stretch = np.linalg.norm(segment, axis=-1) - LENGTH / 9
-    energy += 0.5 * LIMP["axial_stiffness"] * (stretch**2).sum(axis=1) + 0.5 * (
-        bend**2
-    ).sum(axis=1)
+    energy = mechanical_energy(points, t, LENGTH / 9, LIMP)
     return energy + sum(
         0.5 * stiffness * (depth(*points[:, 1:].T, box) ** 2).sum(axis=0)
         for box in boxes

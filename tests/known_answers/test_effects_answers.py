@@ -28,7 +28,7 @@ from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
-from tests.known_answers.swinging import frequency
+from tests.known_answers.swinging import frequency, mechanical_energy
 
 LENGTH = 0.3
 MANY = tuple(
@@ -454,18 +454,7 @@ def test_a_string_dropped_on_a_floor_gains_no_energy():
         .simulate_string(hand, string.values(named)[None], t)
         .points[0]
     )
-    velocity = np.gradient(points, t, axis=0)
-    segment = np.diff(points, axis=1)
-    size = np.linalg.norm(segment, axis=-1)
-    bend = np.diff(
-        np.unwrap(np.arctan2(segment[..., 1], segment[..., 0]), axis=1), axis=1
-    )
-    energy = 0.5 * (velocity[:, 1:] ** 2).sum(axis=(1, 2)) + 9.81 * points[
-        :, 1:, 1
-    ].sum(axis=1)
-    energy += 0.5 * 2e4 * ((size - string.segment_length) ** 2).sum(axis=1) + 0.5 * (
-        bend**2
-    ).sum(axis=1)
+    energy = mechanical_energy(points, t, string.segment_length, named)
     energy += 0.5 * 2e4 * (np.maximum(-0.32 - points[..., 1], 0) ** 2).sum(axis=1)
     free = energy[t > 0.21]
     assert points[..., 1].min() < -0.32
