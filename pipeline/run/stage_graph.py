@@ -148,18 +148,13 @@ def build_graph(
                 if source and key in automatic:
                     refuse_ambiguous(stage, automatic[key], port)
                 automatic[key] = port.name
-            if source:
-                artifact = stages()[source].folder
-            else:
-                artifact = given_name(port, given)
-                if not artifact and port.is_earlier:
-                    continue
-                if not artifact:
-                    refuse_missing(stage, port, names)
-            connection = Connection(
-                stage.name, port.name, source, artifact, port.is_earlier
-            )
-            connections.append(connection)
+            artifact = stages()[source].folder if source else given_name(port, given)
+            if artifact:
+                connections.append(
+                    Connection(stage.name, port.name, source, artifact, port.is_earlier)
+                )
+            elif not port.is_earlier:
+                refuse_missing(stage, port, names)
     refuse_unused(specs, connections)
     return StageGraph(tuple(names), tuple(connections))
 

@@ -21,6 +21,7 @@ from stringcast.data.metadata import (
     StringBlock,
     TrialBlock,
 )
+from stringcast.data.rows import RowCounts
 from stringcast.data.table_files import with_trial
 from stringcast.stages.check.consistency.check import (
     impossible_trials,
@@ -51,30 +52,32 @@ BLOCKS: Mapping[str, type[Block]] = {
 
 def check_rows(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find rows that cannot be used, or were not in order."""
-    columns: set[str] = set()
-    for table in (ARM, GRASP, POINTS):
-        columns.update(column.name for column in with_trial(table).columns)
     for file, rows in dataset.data.row_counts.items():
         if rows.dropped:
-            lost = sum(rows.dropped.values())
-            reasons = [f"{count}: {reason}" for reason, count in rows.dropped.items()]
-            statement = (
-                f"{lost} of {rows.total} rows are left out ({'; '.join(reasons)})"
-            )
-            report = warning if lost > SUSPICIOUS_LOST_SHARE * rows.total else note
-            if lost > MAX_LOST_SHARE * rows.total:
-                report = error
-                statement = f"{statement}: too few are left to show anything"
-            words: list[str] = []
-            for reason in rows.dropped:
-                words += reason.split()[:2]
-            named = [word for word in dict.fromkeys(words) if word in columns]
-            remedy = "Correct them if they should count"
-            yield report(file, ", ".join(named), statement, remedy)
+            yield _dropped_rows(file, rows)
         if rows.unordered:
             statement = f"{rows.unordered} rows are earlier than the row before them"
             remedy = "They are put in order; see that each trial was one recording"
             yield note(file, "t", statement, remedy)
+
+
+def _dropped_rows(file: str, rows: RowCounts) -> Finding:
+    """Describe the rows that are left out, with the columns that the reasons name."""
+    lost = sum(rows.dropped.values())
+    reasons = [f"{count}: {reason}" for reason, count in rows.dropped.items()]
+    statement = f"{lost} of {rows.total} rows are left out ({'; '.join(reasons)})"
+    report = warning if lost > SUSPICIOUS_LOST_SHARE * rows.total else note
+    if lost > MAX_LOST_SHARE * rows.total:
+        report = error
+        statement = f"{statement}: too few are left to show anything"
+
+    tables = [with_trial(table) for table in (ARM, GRASP, POINTS)]
+    columns = {column.name for table in tables for column in table.columns}
+    words = [word for reason in rows.dropped for word in reason.split()[:2]]
+    named = [word for word in dict.fromkeys(words) if word in columns]
+    return report(
+        file, ", ".join(named), statement, "Correct them if they should count"
+    )
 
 
 def check_empty_tables(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -154,17 +154,16 @@ def frame_matching_rates(
     result = np.empty(pixels.shape[:2])
 
     def match(first: int, last: int) -> None:
+        chosen = slice(first, last)
         _match_candidates(
-            pixels,
+            pixels[chosen],
             scores,
             windows,
             tips,
             tip_step,
             max_score,
             weights,
-            first,
-            last,
-            result,
+            result[chosen],
         )
 
     parallel_for(match, len(pixels), CANDIDATES_PER_THREAD)
@@ -180,13 +179,11 @@ def _match_candidates(
     tip_step: float,
     max_score: float,
     weights: np.ndarray,
-    first: int,
-    last: int,
     result: np.ndarray,
 ) -> None:
-    """Fill the rows `first` to `last` of the result (C, F)."""
-    frames, n = pixels.shape[1:3]
-    for c in range(first, last):
+    """Fill the result (C, F) of `frame_matching_rates`."""
+    candidates, frames, n = pixels.shape[:3]
+    for c in range(candidates):
         for f in range(frames):
             total = 0.0
             begin, top, left, height, width = windows[f]
