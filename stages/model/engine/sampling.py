@@ -85,7 +85,10 @@ def interpolate_ticks(
     result_rows = result.reshape(*positions.shape, -1)
 
     def work(first: int, end: int) -> None:
-        _interpolate_candidates(rows, positions, ends, first, end, result_rows)
+        some = slice(first, end)
+        _interpolate_candidates(
+            rows[some], positions[some], ends[some], result_rows[some]
+        )
 
     parallel_for(work, count, CANDIDATES_PER_PIECE)
     return result
@@ -112,7 +115,8 @@ def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarra
     result = np.empty((*points.shape[:2], place.shape[1], 2))
 
     def work(start: int, end: int) -> None:
-        _sum_weighted_points(points, first, weight, start, end, result)
+        some = slice(start, end)
+        _sum_weighted_points(points[some], first[some], weight[some], result[some])
 
     parallel_for(work, len(points), CANDIDATES_PER_PIECE)
     return result
@@ -120,19 +124,14 @@ def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarra
 
 @compile_kernel
 def _sum_weighted_points(
-    points: np.ndarray,
-    first: np.ndarray,
-    weight: np.ndarray,
-    start: int,
-    end: int,
-    result: np.ndarray,
+    points: np.ndarray, first: np.ndarray, weight: np.ndarray, result: np.ndarray
 ) -> None:
-    """Sum weighted points of candidates from start to before end.
+    """Sum weighted points of each candidate.
 
     points: (C, F, n, 2). first: of the points that each place lies between, (C, M);
     weight: of these, (C, M, W). result: (C, F, M, 2), filled in place.
     """
-    for c in range(start, end):
+    for c in range(len(points)):
         for f in range(points.shape[1]):
             for m in range(first.shape[1]):
                 x, y = 0.0, 0.0
@@ -194,19 +193,14 @@ def interpolate_measurements(
 
 @compile_kernel
 def _interpolate_candidates(
-    ticks: np.ndarray,
-    position: np.ndarray,
-    last: np.ndarray,
-    start: int,
-    end: int,
-    result: np.ndarray,
+    ticks: np.ndarray, position: np.ndarray, last: np.ndarray, result: np.ndarray
 ) -> None:
-    """Interpolate candidates from start to before end.
+    """Interpolate each candidate between its ticks.
 
     ticks: (C, K, M). position: (C, F). last: (C,). result: (C, F, M), filled in place.
     """
     weight = np.empty(TIME_NODES)
-    for c in range(start, end):
+    for c in range(len(ticks)):
         for f in range(position.shape[1]):
             first = int(np.floor(position[c, f])) - (TIME_NODES // 2 - 1)
             first = min(max(first, 0), last[c] + 1 - TIME_NODES)
