@@ -273,7 +273,9 @@ def _configuration_at_rest(
     active, active_material = string.without_absent_effects(material)
     angles, lengths = hanging_shape(active, active_material, hand.pose[:, 0], turn)
     velocity = np.zeros((len(material), string.points, 2))
-    return InitialConfiguration(angles, lengths, velocity, angles, True, 0.0)
+    return InitialConfiguration(
+        angles, lengths, velocity, angles, is_at_rest=True, memory_reversal=0.0
+    )
 
 
 def _configuration_from_state(
@@ -311,7 +313,14 @@ def _configuration_from_state(
     if any(string.memory_count(slot) for slot in MEMORY_SLOTS):
         rest_angles = _configuration_at_rest(string, material, hand, turn).angles
     reversal = np.reshape(state.memory_reversal, (-1, 1))
-    return InitialConfiguration(angles, lengths, velocity, rest_angles, False, reversal)
+    return InitialConfiguration(
+        angles,
+        lengths,
+        velocity,
+        rest_angles,
+        is_at_rest=False,
+        memory_reversal=reversal,
+    )
 
 
 def _configuration_rows(
