@@ -359,6 +359,12 @@ def specimen(name) -> Specimen:
     return configured(Specimen, f"specimen/{name}.yaml")
 
 
+def waving_pose(t: np.ndarray, size: float, angle: float) -> np.ndarray:
+    """Return poses (K, 3) of a hand that waves by `size` [m] from an angle [rad]."""
+    x, y, turn = np.sin(np.multiply.outer([9, 5, 7], t)) ** 2
+    return np.stack([size * x, size * y, angle + 1.5 * turn], axis=-1)
+
+
 def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Motion:
     """Return a smooth movement of all joints as a Motion artifact."""
     t = np.arange(0, duration + 1e-9, 0.005)

@@ -18,20 +18,15 @@ from tests.benchmarks.simulators.causes import (
 from tests.benchmarks.simulators.motions import Cast
 from tests.benchmarks.simulators.rod import Rod
 from tests.benchmarks.simulators.scene import Fidelity, Scene
-from tests.conftest import implicit_string
+from tests.conftest import TRUTH, implicit_string
 
 pytestmark = pytest.mark.long
 POINTS = 41
 CAUSES = {cause.name: cause for cause in (*LIBRARY_CAUSES, *OUTSIDE_CAUSES)}
-BASE = {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
+BASE = TRUTH | {
     "bending_stiffness": 8.0,
     "bending_damping": 6e-3,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 3.0,
-    "grasp_damping": 5e-3,
 }
 
 

@@ -10,27 +10,17 @@ from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicit
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
+from tests.conftest import TRUTH, waving_pose
 
-NAMED = {
+NAMED = TRUTH | {
     "axial_stiffness": 2e4,
     "axial_damping": 20.0,
     "bending_stiffness": 2.0,
     "bending_damping": 1e-3,
     "linear_drag": 0.5,
-    "quadratic_drag": 0.2,
-    "grasp_stiffness": 2.0,
-    "grasp_damping": 5e-3,
 }
 T = np.arange(0, 0.6, 0.005)
-POSE = np.stack(
-    [
-        0.1 * np.sin(9 * T) ** 2,
-        0.1 * np.sin(5 * T) ** 2,
-        -1.0 + 1.5 * np.sin(7 * T) ** 2,
-    ],
-    axis=-1,
-)
-HAND = resample_hand_motion(T, POSE)
+HAND = resample_hand_motion(T, waving_pose(T, 0.1, -1.0))
 
 
 CLAMPED = NAMED | {

@@ -14,27 +14,15 @@ from stringcast.stages.model.engine.stability import steps_per_tick
 from stringcast.stages.model.hand import HandMotion, resample_hand_motion
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import PAPER_EFFECTS
-from tests.conftest import implicit_string
+from tests.conftest import TRUTH, implicit_string, waving_pose
 
 T = np.arange(0, 0.6, 0.005)
-POSE = np.stack(
-    [
-        0.2 * np.sin(9 * T) ** 2,
-        0.2 * np.sin(5 * T) ** 2,
-        -1.0 + 1.5 * np.sin(7 * T) ** 2,
-    ],
-    axis=-1,
-)
-HAND = resample_hand_motion(T, POSE)
-DAMPED = {
+HAND = resample_hand_motion(T, waving_pose(T, 0.2, -1.0))
+DAMPED = TRUTH | {
     "axial_stiffness": 9e5,
     "axial_damping": 1.3e3,
-    "bending_stiffness": 4.0,
     "bending_damping": 0.67,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 3.0,
-    "grasp_damping": 5e-3,
 }
 
 

@@ -39,15 +39,10 @@ from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
-BASE_VALUES = {
+BASE_VALUES = TRUTH | {
     "axial_stiffness": 5e5,
-    "axial_damping": 30.0,
     "bending_stiffness": 3.0,
-    "bending_damping": 0.005,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 1.0,
-    "grasp_damping": 0.005,
 }
 EFFECTS = ("tip_mass", "density_taper", "time_offset", "arm_lag", "wind", "resolution")
 FRAMES = 25

@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import TRUTH as ORDINARY
 from conftest import rms_distance, simulated_points, threads
 
 from stringcast.data.artifacts import (
@@ -41,15 +42,12 @@ from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 STRING = String(0.3)
-TRUTH = {
+TRUTH = ORDINARY | {
     "axial_stiffness": 9e4,
-    "axial_damping": 30.0,
     "bending_stiffness": 2.0,
     "bending_damping": 0.02,
     "linear_drag": 0.4,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 1.0,
-    "grasp_damping": 5e-3,
 }
 
 

@@ -28,6 +28,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import PLUGINS_VARIABLE
+from tests.conftest import TRUTH as ORDINARY
 from tests.tether import TETHER
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -41,15 +42,12 @@ POSE = np.stack(
     ],
     -1,
 )
-TRUTH = {
+TRUTH = ORDINARY | {
     "axial_stiffness": 9e4,
-    "axial_damping": 30.0,
     "bending_stiffness": 2.0,
     "bending_damping": 0.02,
     "linear_drag": 0.4,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 1.0,
-    "grasp_damping": 5e-3,
 }
 
 

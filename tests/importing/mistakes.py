@@ -14,15 +14,12 @@ from stringcast.stages.check.consistency.record import arm_poses
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
+from tests.conftest import TRUTH
 
 TWO_CLOCKS_LINKS, TWO_CLOCKS_BASE = (0.28, 0.22, 0.12), (0.1, 0.3)
-STRIP = {
-    "axial_stiffness": 6e5,
-    "axial_damping": 30.0,
+STRIP = TRUTH | {
     "bending_stiffness": 25.0,
     "bending_damping": 0.02,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
     "grasp_stiffness": 20.0,
     "grasp_damping": 0.02,
 }

@@ -28,6 +28,7 @@ from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.conftest import waving_pose
 from tests.known_answers.swinging import frequency, mechanical_energy
 
 LENGTH = 0.3
@@ -289,14 +290,7 @@ def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_m
 
 def test_tilted_gravity_is_the_whole_experiment_turned():
     t = np.arange(0, 0.4, 0.005)
-    pose = np.stack(
-        [
-            0.1 * np.sin(9 * t) ** 2,
-            0.1 * np.sin(5 * t) ** 2,
-            0.3 + 1.5 * np.sin(7 * t) ** 2,
-        ],
-        axis=-1,
-    )
+    pose = waving_pose(t, 0.1, 0.3)
     tilt = 0.25
     rotation = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     turned = np.concatenate([pose[:, :2] @ rotation.T, pose[:, 2:] + tilt], axis=1)

@@ -10,18 +10,10 @@ from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.conftest import TRUTH
 
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
-STIFF = {
-    "axial_stiffness": 9e5,
-    "axial_damping": 30.0,
-    "bending_stiffness": 4.0,
-    "bending_damping": 5e-3,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
-    "grasp_stiffness": 5.0,
-    "grasp_damping": 5e-3,
-}
+STIFF = TRUTH | {"axial_stiffness": 9e5, "grasp_stiffness": 5.0}
 
 
 def at_rest(string: String, named: dict, theta: float):

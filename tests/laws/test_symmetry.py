@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from conftest import threads
+from conftest import TRUTH, threads, waving_pose
 
 from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
@@ -15,24 +15,8 @@ from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 T = np.arange(0, 0.4, 0.005)
-POSE = np.stack(
-    [
-        0.1 * np.sin(9 * T) ** 2,
-        0.1 * np.sin(5 * T) ** 2,
-        0.3 + 1.5 * np.sin(7 * T) ** 2,
-    ],
-    axis=-1,
-)
-NAMED = {
-    "axial_stiffness": 2e5,
-    "axial_damping": 30.0,
-    "bending_stiffness": 4.0,
-    "bending_damping": 5e-3,
-    "linear_drag": 0.3,
-    "quadratic_drag": 0.2,
-    "grasp_stiffness": 3.0,
-    "grasp_damping": 5e-3,
-}
+POSE = waving_pose(T, 0.1, 0.3)
+NAMED = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
 WEIGHTLESS = tuple(effect for effect in PAPER_EFFECTS if effect is not Gravity)
 AIRLESS = {"linear_drag": 0.0, "quadratic_drag": 0.0}
 
