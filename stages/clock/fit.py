@@ -14,12 +14,10 @@ from stringcast.stages.diagnose.base_model import fit_base_model
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
-from stringcast.stages.diagnose.noise import (
-    estimate_initial_noise,
-    trim_trailing_rest,
-)
+from stringcast.stages.diagnose.noise import estimate_initial_noise
 from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
 from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.used_frames import trim_trailing_rest
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy import best_scale_index
 from stringcast.stages.inference.hypothesis import Hypothesis

@@ -55,6 +55,7 @@ def diagnosis_document(
     points_left_out = {
         "outliers": prepared.outlier_count,
         "at_rest": prepared.resting_points,
+        "in_dense_frames": prepared.dense_points,
     }
     return {
         "format": FORMAT_VERSION,

@@ -1,4 +1,4 @@
-"""Outliers, noise, and the rest at the end of a trial."""
+"""Outliers and noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.data.trial_faults import MIN_FRAMES
-from stringcast.stages.common import track_places
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     with_initial_states_of,
@@ -18,7 +17,7 @@ from stringcast.stages.inference.discrepancy import (
 )
 from stringcast.stages.inference.initial_modes import trials_with_reestimated_start
 from stringcast.stages.inference.laplace import Fit
-from stringcast.stages.inference.likelihood import MOTION_SHARE, Likelihood
+from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model, noise_track
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -28,7 +27,6 @@ OVERRULING_NOISE_RATIO = 1.3  # of estimated to given noise: from there the data
 OUTLIER_SIGMAS = 6.0  # from smooth motion: one point in 5e8 by chance
 OUTLIER_PASSES = 3  # one outlier may hide another
 OUTLIER_RETENTION = 0.5  # if a better fit leaves fewer, the poorer fit made them
-KEPT_REST_S = 0.2  # of a string at rest
 
 
 def estimate_initial_noise(
@@ -151,22 +149,3 @@ def _remove_trial_outliers(
         trial = trial.select_points(near)
         residual = residual[near]
     return trial, residual, level
-
-
-def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
-    """Cut the end of a trial in which the string hangs still.
-
-    A thousand frames of rest say no more than a few, but would weigh more.
-    """
-    times = trial.times
-    distance = np.zeros(len(times))  # of each frame from the final rest [m]
-    is_late = trial.point_times > times[-1] - KEPT_REST_S
-    for track in track_places(trial.frame, trial.s):
-        late = track[is_late[track]]
-        if late.size:
-            rest = np.median(trial.points[late], axis=0)
-            track_distance = np.linalg.norm(trial.points[track] - rest, axis=1)
-            np.maximum.at(distance, trial.frame[track], track_distance)
-    moving = np.flatnonzero(distance > MOTION_SHARE * trial.model.string.length)
-    last = times[moving[-1]] if moving.size else times[0]
-    return trial.cut_after(max(last + KEPT_REST_S, times[:MIN_FRAMES][-1]))

@@ -27,14 +27,17 @@ from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.noise import (
     estimate_initial_noise,
     remove_outliers,
-    trim_trailing_rest,
 )
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     with_initial_states_of,
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
-from stringcast.stages.inference.basis import LOW_FREQUENCY_HZ, highest_frequency
+from stringcast.stages.diagnose.used_frames import (
+    thin_frames,
+    trim_trailing_rest,
+    warn_of_long_trials,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
@@ -43,7 +46,6 @@ from stringcast.stages.inference.initial_modes import (
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, mean_discrepancy
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import (
-    PreparedTrial,
     prepare_trial,
     with_model,
 )
@@ -108,22 +110,25 @@ def prepare_data(
     DataError
         If a trial cannot be used.
     """
-    # Trials without the rest at their end
+    # Trials without the rest at their end, and without frames that say little
     second_order = with_second_order_mesh(model)
     noise_is_given = all("sigma" in o.points for o in observations)
-    moving = []
+    chosen = []
     resting_points = 0
+    dense_points = 0
     for observation in observations:
         trial = prepare_trial(second_order, observation)
         if not noise_is_given:
             trial = replace(trial, sigma=np.full(len(trial.s), INITIAL_NOISE_M))
         trimmed = trim_trailing_rest(trial)
+        thinned = thin_frames(trimmed)
         resting_points += len(trial.s) - len(trimmed.s)
-        moving.append(trimmed)
-    warn_of_long_trials(moving)
+        dense_points += len(trimmed.s) - len(thinned.s)
+        chosen.append(thinned)
+    warn_of_long_trials(chosen)
 
     # Base model; its residuals determine outliers and noise
-    likelihood = Likelihood(TrialData(tuple(moving)), second_order)
+    likelihood = Likelihood(TrialData(tuple(chosen)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
@@ -139,6 +144,7 @@ def prepare_data(
         trials_with_outliers=with_outliers,
         trials=trials,
         resting_points=resting_points,
+        dense_points=dense_points,
         discretisation_uncertainty_m=uncertainty_m,
         noise_is_given=noise_is_given,
         keep_if_chaotic=tuple(keep_if_chaotic),
@@ -177,22 +183,6 @@ def refine_base_model(prepared: PreparedData) -> PreparedData:
     return replace(refined.prepared, base_fit=refined.fit)
 
 
-def warn_of_long_trials(trials: Sequence[PreparedTrial]) -> None:
-    """Say up to which frequency misfit is followed in trials that are long."""
-    for trial in trials:
-        if len(trial.times) < 2:
-            continue
-        frequency = highest_frequency(trial.times)
-        if frequency < LOW_FREQUENCY_HZ:
-            log.warning(
-                "trial %s lasts %.1f s: misfit is followed up to %.0f Hz there; "
-                "split it into trials of 2 s to see faster misfit",
-                trial.name,
-                np.ptp(trial.times),
-                frequency,
-            )
-
-
 def prepare_further_trials(
     prepared: PreparedData,
     observations: Sequence[Observation],
@@ -212,7 +202,7 @@ def prepare_further_trials(
     sigma = float(np.median(np.concatenate([t.sigma for t in prepared.trials])))
     measured = []
     for observation in observations:
-        trial = trim_trailing_rest(prepare_trial(model, observation))
+        trial = thin_frames(trim_trailing_rest(prepare_trial(model, observation)))
         trial = replace(trial, sigma=np.full(len(trial.s), sigma), noise=noise)
         measured.append(trial)
     trials, _, _ = remove_outliers(measured, model, base.chi)

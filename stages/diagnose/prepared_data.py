@@ -38,6 +38,8 @@ class PreparedData:
         The base model on the configured mesh; None where that is the finer mesh.
     noise_is_given : bool
         Whether the author of the data states its noise.
+    dense_points : int
+        Number of points that were left out because frames are denser than needed.
     """
 
     data: TrialData
@@ -51,6 +53,7 @@ class PreparedData:
     configured_mesh_fit: Fit | None = None
     noise_is_given: bool = False
     keep_if_chaotic: tuple[str, ...] = ()
+    dense_points: int = 0
 
     @property
     def point_counts(self) -> list[int]:

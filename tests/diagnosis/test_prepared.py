@@ -1,4 +1,4 @@
-"""Preparation of data: noise, outliers, rest, chaotic trials, and ranges."""
+"""Preparation of data: noise, outliers, chaotic trials, and ranges."""
 
 from dataclasses import replace
 
@@ -21,14 +21,10 @@ from stringcast.stages.diagnose.discretisation import (
     with_second_order_mesh,
 )
 from stringcast.stages.diagnose.noise import (
-    KEPT_REST_S,
     _remove_trial_outliers,
     reestimate_noise,
-    trim_trailing_rest,
 )
-from stringcast.stages.diagnose.preparation import warn_of_long_trials
 from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.inference.basis import highest_frequency
 from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
@@ -76,22 +72,6 @@ def simulate_swings(arm, model, strings):
 @pytest.fixture(scope="module")
 def trials(arm, model):
     return simulate_swings(arm, model, [TRUTH] * 3)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"), [(0.9, ""), (2.0, ""), (10.0, "up to 3 Hz"), (4.0, "8 Hz")]
-)
-def test_a_long_trial_is_named_with_what_is_followed_in_it(
-    model, caplog, seconds, words
-):
-    """Splines follow 30 Hz in a trial of a second, and less in a longer one."""
-    times = np.arange(0, seconds, 1 / 240)
-    frame = np.zeros(1, dtype=int)
-    trial = make_trial(model, frame, S[:1], np.zeros((1, 2)), times)
-    warn_of_long_trials([trial])
-    assert bool(caplog.text) == bool(words)
-    assert words in caplog.text
-    assert highest_frequency(times) == pytest.approx(31.5 / max(seconds, 0.94), rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
@@ -148,49 +128,6 @@ def test_a_trial_of_scattered_points_is_not_emptied(model):
     trial = make_trial(model, frame, np.full(6, 0.3), points, times=frame / 30)
     kept, *_ = _remove_trial_outliers(trial, points / STATED_SIGMA_M)
     assert len(kept.s) == 6
-
-
-@pytest.fixture(scope="module")
-def damped_swing():
-    """Compute times [s] and tip displacements [m] of a swing, still after 3.5 s."""
-    times = np.arange(0, 10, 0.01)
-    return times, 0.1 * np.exp(-times) * np.cos(9 * times)
-
-
-@pytest.fixture(scope="module")
-def swinging_trial(model, damped_swing):
-    times, swing = damped_swing
-    x = np.outer(swing, np.linspace(0.1, 1, 5)).ravel()
-    points = np.stack([x, np.zeros(len(x))], axis=-1)
-    frame = np.repeat(np.arange(len(times)), 5)
-    return make_trial(model, frame, np.tile(S, len(times)), points, times=times)
-
-
-def test_rest_at_the_end_is_trimmed(swinging_trial, damped_swing):
-    times, swing = damped_swing
-    last = times[np.flatnonzero(np.abs(swing) > 0.003)[-1]]
-    trimmed = trim_trailing_rest(swinging_trial)
-    assert trimmed.times[-1] == pytest.approx(last + KEPT_REST_S, abs=0.011)
-    assert len(trimmed.points) == 5 * len(trimmed.times)
-
-
-def test_rest_is_that_at_the_end(swinging_trial):
-    """The rest position is that at the end of the trial.
-
-    For most of the time the string rests elsewhere.
-    """
-    trial = swinging_trial
-    is_early = trial.times[trial.frame] < 6.0
-    moved = replace(trial, points=trial.points + 0.1 * is_early[:, None])
-    end = trim_trailing_rest(moved).times[-1]
-    assert end == pytest.approx(6.0 + KEPT_REST_S, abs=0.011)
-
-
-@pytest.mark.parametrize(("factor", "end"), [(1e3, 9.99), (1e-3, KEPT_REST_S)])
-def test_a_string_that_moves_or_rests_throughout(swinging_trial, factor, end):
-    scaled = replace(swinging_trial, points=swinging_trial.points * factor)
-    trimmed = trim_trailing_rest(scaled)
-    assert trimmed.times[-1] == pytest.approx(end, abs=0.011)
 
 
 @pytest.fixture(scope="module")
