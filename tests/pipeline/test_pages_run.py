@@ -21,7 +21,7 @@ import pytest
 
 from stringcast.pipeline.commands import new
 from tests.calibration.studio import picture, pose, tilted
-from tests.pipeline.test_readme_commands import ROOT, pages
+from tests.pipeline.test_readme_commands import ROOT, find_in_code
 
 COMMAND = re.compile(
     r"(?:\.venv/bin/)?python3? (?:-m )?((?:pipeline|stringcast|tests|pytest|pip|tasks\.py)\b[\w.]*)(.*)"
@@ -226,15 +226,10 @@ ELSEWHERE = {  # the test that runs the command, or why none can
 
 def shown():
     """Return every command of every page as printed, without comments behind a #."""
-    found = set()
-    for page in pages():
-        for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
-            pieces = (
-                [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
-            )
-            for match in filter(None, map(COMMAND.search, pieces)):
-                found.add(f"{match[1]} {match[2].partition(' #')[0].strip()}".strip())
-    return found
+    return {
+        f"{found[1]} {found[2].partition(' #')[0].strip()}".strip()
+        for _, found in find_in_code(COMMAND)
+    }
 
 
 def test_every_command_of_every_page_is_run_or_it_is_said_why_not():

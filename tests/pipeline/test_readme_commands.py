@@ -33,18 +33,20 @@ def pages():
     return listed.stdout.split()
 
 
-def calls():
-    """Return page and arguments of every call in a code line or between backquotes.
-
-    Comments behind a # are left out.
-    """
+def find_in_code(pattern):
+    """Find a pattern in each code line or text between backquotes of each page."""
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
-            pieces = (
-                [line] if line.startswith("    ") else re.findall(r"`([^`]+)`", line)
-            )
-            for found in filter(None, map(CALL.search, pieces)):
-                yield page, found[1].partition(" #")[0].strip()
+            is_code = line.startswith("    ")
+            for piece in [line] if is_code else re.findall(r"`([^`]+)`", line):
+                if found := pattern.search(piece):
+                    yield page, found
+
+
+def calls():
+    """Return page and arguments of every call, without comments behind a #."""
+    for page, found in find_in_code(CALL):
+        yield page, found[1].partition(" #")[0].strip()
 
 
 def first_of(override):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BPoly
 
-from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
+from tests.benchmarks.simulators.motions import drive, is_possible
 
 REST_BEFORE_S = 0.05
 REST_AFTER_S = 0.1
@@ -56,7 +56,7 @@ def draw_cast(arm: Arm, rng: np.random.Generator, fps: float) -> FilmedCast:
         last_tick = round((duration + REST_AFTER_S) / arm.tick)
         ticks = np.arange(first_tick, last_tick + 1) * arm.tick
         angles = start + scale * turned(np.clip(ticks, 0.0, duration))
-        if _is_possible(arm, angles):
+        if _is_castable(arm, angles):
             return perform(arm, ticks, angles, rng, fps)
 
 
@@ -68,16 +68,13 @@ def perform(
     fps: float,
 ) -> FilmedCast:
     """Perform commanded angles (K, J) [rad] at times (K,) [s] with a real servo."""
-    servo = VirtualServo()
-    fine, turned = servo.follow_commands(ticks, arm.commanded_velocities(angles), rng)
-    driven = angles[0] + turned
-    at_ticks = np.stack([np.interp(ticks, fine, q) for q in driven.T], axis=-1)
+    reported, fine, driven = drive(arm, ticks, angles, rng)
     first_frame = np.ceil(ticks[0] * fps - 1e-6)
     last_frame = np.floor(ticks[-1] * fps + 1e-6)
     frames = np.arange(first_frame, last_frame + 1) / fps
     kept = rng.uniform(size=len(frames)) > MISSED_FRAMES
     motion = resample_joint_motion(fine, driven, MOTION_TICK_S)
-    return FilmedCast(ticks, servo.encoder_reading(at_ticks), motion, frames[kept])
+    return FilmedCast(ticks, reported, motion, frames[kept])
 
 
 def _fastest_hand(arm: Arm, angles: np.ndarray, velocities: np.ndarray) -> float:
@@ -86,16 +83,9 @@ def _fastest_hand(arm: Arm, angles: np.ndarray, velocities: np.ndarray) -> float
     return float(np.linalg.norm(velocity, axis=-1).max())
 
 
-def _is_possible(arm: Arm, angles: np.ndarray) -> bool:
+def _is_castable(arm: Arm, angles: np.ndarray) -> bool:
     """Return whether a motion keeps the arm's limits at about the wanted hand speed."""
-    commanded = arm.commanded_velocities(angles)
-    hand = _fastest_hand(arm, angles, commanded)
-    accelerations = np.abs(np.diff(commanded, axis=0)) / arm.tick
+    hand = _fastest_hand(arm, angles, arm.commanded_velocities(angles))
     low, high = HAND_SPEEDS_M_S
-    return bool(
-        (angles > arm.lowest).all()
-        and (angles < arm.highest).all()
-        and (np.abs(commanded) <= arm.speed).all()
-        and (accelerations <= arm.acceleration).all()
-        and 0.8 * low <= hand <= min(1.2 * high, arm.hand_speed)
-    )
+    has_speed = 0.8 * low <= hand <= min(1.2 * high, arm.hand_speed)
+    return has_speed and is_possible(arm, angles)

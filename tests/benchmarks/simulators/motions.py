@@ -65,7 +65,7 @@ def random_cast(arm: Arm, rng: np.random.Generator, fps: float, speed: float) ->
             swing = swing * speed / fastest_hand(arm, start + swing)
         angles = start + swing
         slow_enough = fastest_hand(arm, angles) < SPEED_TOLERANCE * speed
-        if _is_possible(arm, angles) and slow_enough:
+        if is_possible(arm, angles) and slow_enough:
             return perform(arm, ticks, angles, rng, fps)
 
 
@@ -90,14 +90,26 @@ def perform(
     -------
     The cast.
     """
+    reported, fine, driven = drive(arm, ticks, angles, rng)
+    first = ticks[0] + rng.uniform() / fps
+    frames = first + np.arange(int((ticks[-1] - first) * fps) + 1) / fps
+    kept = rng.uniform(size=len(frames)) > MISSED_FRAMES
+    return Cast(ticks, reported, fine, driven, frames[kept])
+
+
+def drive(
+    arm: Arm, ticks: np.ndarray, angles: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Drive a real servo by commanded angles (K, J) [rad] at times (K,) [s].
+
+    Returns the angles that the encoders report at these times, and even times with the
+    true angles.
+    """
     servo = VirtualServo()
     fine, turned = servo.follow_commands(ticks, arm.commanded_velocities(angles), rng)
     driven = angles[0] + turned
     at_ticks = np.stack([np.interp(ticks, fine, q) for q in driven.T], axis=-1)
-    first = ticks[0] + rng.uniform() / fps
-    frames = first + np.arange(int((ticks[-1] - first) * fps) + 1) / fps
-    kept = rng.uniform(size=len(frames)) > MISSED_FRAMES
-    return Cast(ticks, servo.encoder_reading(at_ticks), fine, driven, frames[kept])
+    return servo.encoder_reading(at_ticks), fine, driven
 
 
 def _bezier(rng: np.random.Generator, progress: np.ndarray, joints: int) -> np.ndarray:
@@ -143,7 +155,7 @@ def fastest_hand(arm: Arm, angles: np.ndarray) -> float:
     return float(np.linalg.norm(steps, axis=1).max() / arm.tick)
 
 
-def _is_possible(arm: Arm, angles: np.ndarray) -> bool:
+def is_possible(arm: Arm, angles: np.ndarray) -> bool:
     """Check the arm's ranges, joint speeds and accelerations."""
     speeds = arm.commanded_velocities(angles)
     accelerations = np.abs(np.diff(speeds, axis=0)) / arm.tick
