@@ -2,7 +2,9 @@
 
 Forces are linear in the values of most parameters. So the residuals are linear in the
 values as well, also where one drag stands in for the other, which a line in exponents
-leaves at once.
+leaves at once. Before the trials every exponent is equally likely. Were every value, a
+damping that no trial shows would be large: of 58 looks, tips in random casts were then
+13 mm off the median draw in the mean, and 10 mm with exponents.
 
 A block of time counts as one measurement of each coordinate, as in the comparison of
 causes. What a model misses, such as the error of its mesh, is alike within a block. It
@@ -17,15 +19,11 @@ import numpy as np
 
 from stringcast.stages.estimate.matching import MatchingTarget
 from stringcast.stages.inference.covariance import Linearisation, linearise
-from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
-from stringcast.stages.inference.normal_in_box import sample_normal_in_box
+from stringcast.stages.inference.exponent_samples import NormalInValues
+from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.search import with_refined_initial_states
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.parameter import (
-    Parameter,
-    parameter_exponents,
-    parameter_values,
-)
+from stringcast.stages.model.parameter import Parameter, parameter_values
 
 POSTERIOR_DRAWS = 400
 LEAST_MEAN_SQUARE = 1e-6  # of residuals over their noise: data may have none
@@ -44,15 +42,9 @@ def sample_posterior(
     measurements = 2 * blocks / len(linear.residual)  # of each residual
     likelihood = weighted @ change.T * measurements / max(square, LEAST_MEAN_SQUARE)
 
-    limits = np.array([(p.low, p.high) for p in parameters])
-    faces = np.sort((limits - values[:, None]) / unit[:, None], axis=1)
-    lowest, highest = faces.T
-    prior = PRIOR_PRECISION / (highest - lowest) ** 2
     rng = np.random.default_rng([seed, POSTERIOR_DRAWS])
-    moved = sample_normal_in_box(
-        likelihood + np.diag(prior), lowest, highest, POSTERIOR_DRAWS, rng
-    )
-    return parameter_exponents(parameters, values + unit * moved)
+    posterior = NormalInValues(parameters, chi, likelihood, unit)
+    return posterior.sample(POSTERIOR_DRAWS, rng)
 
 
 def sample_least_squares_posterior(

@@ -34,7 +34,7 @@ def linearise_sum(values, sensitivity):
 def test_draws_follow_a_valley_to_both_of_its_ends(values):
     """A slow look shows the sum of two drags, and its best fit may have either alone.
 
-    In exponents no draw of the first has a linear drag above 0.01.
+    Each drag is hardly there in some draws, and nearly alone in others.
     """
     chi, linear = linearise_sum(values, sensitivity=100.0)
     drawn = parameter_values(BOTH, sample_posterior(BOTH, chi, linear, seed=0))

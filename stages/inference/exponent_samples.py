@@ -1,0 +1,135 @@
+"""Samples of exponents under a likelihood that is normal in the parameters' values.
+
+Every exponent in [0, 1] is equally likely before. Metropolis chains move in two ways in
+turn. Steps in values follow narrow valleys, which are straight there; they have the
+covariance of the place where they begin (Girolami and Calderhead, J. R. Stat. Soc. B
+73, 123, 2011). Steps in the exponent of one parameter reach all that data leave open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_slopes,
+    parameter_values,
+)
+
+CHAINS = 40
+WARM_UP_STEPS = 300  # from the centre, until samples are taken
+STEPS_APART = 50  # between two samples of a chain
+STEP_WIDTH = 1 / 7  # of an exponent that data leave open, in a step in values
+ROUNDING = 1e-12  # of a precision: exact data leave no other width
+LEAST_SLOPE = 1e-150
+
+
+@dataclass(frozen=True)
+class NormalInValues:
+    """A density of exponents in [0, 1] that is normal in the values.
+
+    Parameters
+    ----------
+    parameters
+        The parameters, P of them.
+    centre
+        Exponents of the most likely values, (P,).
+    precision
+        Inverse of the covariance of the values over their units, (P, P).
+    unit
+        Units of the values, (P,).
+    """
+
+    parameters: Sequence[Parameter]
+    centre: np.ndarray
+    precision: np.ndarray
+    unit: np.ndarray
+
+    def sample(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Sample exponents, (count, P)."""
+        chi = np.tile(self.centre, (CHAINS, 1))
+        log_likelihood = self._log_likelihood(chi)
+        samples: list[np.ndarray] = []
+        step = 0
+        while len(samples) * CHAINS < count:
+            step += 1
+            propose = self._step_in_values if step % 2 else self._step_in_exponent
+            proposed, log_ratio = propose(chi, rng)
+            proposed_log_likelihood = self._log_likelihood(proposed)
+            log_ratio += proposed_log_likelihood - log_likelihood
+            is_accepted = np.log(rng.random(CHAINS)) < log_ratio
+            chi = np.where(is_accepted[:, None], proposed, chi)
+            log_likelihood = np.where(
+                is_accepted, proposed_log_likelihood, log_likelihood
+            )
+            if step > WARM_UP_STEPS and step % STEPS_APART == 0:
+                samples.append(chi)
+        return np.concatenate(samples)[:count]
+
+    def _log_likelihood(self, chi: np.ndarray) -> np.ndarray:
+        """Compute the log likelihood of exponents (K, P), (K,)."""
+        centre = parameter_values(self.parameters, self.centre)
+        moved = (parameter_values(self.parameters, chi) - centre) / self.unit
+        return np.asarray(-0.5 * np.sum((moved @ self.precision) * moved, axis=1))
+
+    def _step_in_exponent(
+        self, chi: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Propose any exponent of one parameter, another in each chain.
+
+        Returns the proposed exponents (K, P), and the log ratio of the densities of the
+        step back and of the step, (K,).
+        """
+        chains = np.arange(len(chi))
+        changed = rng.integers(len(self.centre), size=len(chi))
+        proposed = chi.copy()
+        proposed[chains, changed] = rng.random(len(chi))
+        return proposed, np.zeros(len(chi))
+
+    def _step_in_values(
+        self, chi: np.ndarray, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Propose a step in the values of all parameters; returns as the other step."""
+        root, log_prior = self._step_root(chi)
+        normal = rng.standard_normal(chi.shape)
+        upper = root.transpose(0, 2, 1)
+        step = np.linalg.solve(upper, normal[..., None])[..., 0]
+        values = parameter_values(self.parameters, chi) + self.unit * step
+        low = np.array([parameter.low for parameter in self.parameters])
+        high = np.array([parameter.high for parameter in self.parameters])
+        is_inside = ((values >= low) & (values <= high)).all(axis=1)
+        moved = parameter_exponents(self.parameters, np.clip(values, low, high))
+        proposed = np.where(is_inside[:, None], moved, chi)
+
+        root_there, log_prior_there = self._step_root(proposed)
+        normal_back = np.sum(root_there * step[:, :, None], axis=1)
+        there = log_prior_there + _log_normal(root_there, normal_back)
+        here = log_prior + _log_normal(root, normal)
+        return proposed, np.where(is_inside, there - here, -np.inf)
+
+    def _step_root(self, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute lower roots of the precision of steps in values, (K, P, P).
+
+        Returns also the log density of the values before any data, (K,).
+        """
+        slope = np.abs(parameter_slopes(self.parameters, chi) / self.unit)
+        slope = np.maximum(slope, LEAST_SLOPE)
+        size = len(self.centre)
+        diagonal = 1 / (STEP_WIDTH * slope) ** 2 + ROUNDING * np.diag(self.precision)
+        precision = self.precision + diagonal[:, None] * np.eye(size)
+        root = np.linalg.cholesky(size * precision)
+        return root, -np.log(slope).sum(axis=1)
+
+
+def _log_normal(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Compute log densities of normal steps, (K,), but for a constant.
+
+    root: lower roots of their precision, (K, P, P). normal: the steps times the roots,
+    (K, P).
+    """
+    log_diagonal = np.log(np.diagonal(root, axis1=1, axis2=2))
+    return np.asarray(log_diagonal.sum(axis=1) - 0.5 * np.sum(normal**2, axis=1))
