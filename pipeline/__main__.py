@@ -6,6 +6,7 @@ only where a run or a command needs them.
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import uuid
@@ -88,7 +89,7 @@ def cli() -> None:
     log.log_warnings()
     if "-v" in sys.argv:
         sys.argv.remove("-v")
-        log.show_log_on_terminal()
+        log.add_handler(logging.StreamHandler())
     words = join_quoted(sys.argv[1:])
     sys.argv[1:] = words
     if words == ["--version"]:

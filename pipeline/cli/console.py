@@ -17,7 +17,7 @@ from rich.text import Text
 from stringcast.data.artifacts import Estimate, Prediction
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Iteration
-from stringcast.pipeline.run.log import forward_log
+from stringcast.pipeline.run.log import ForwardingHandler, attach_handler
 from stringcast.pipeline.run.result import RunResult
 from stringcast.stages.common import Progress as ReportProgress
 
@@ -57,7 +57,7 @@ def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
             def show_share(share: float) -> None:
                 progress.update(task, total=1.0, completed=share)
 
-            with forward_log(show_log_line):
+            with attach_handler(ForwardingHandler(show_log_line)):
                 yield show_share
             progress.update(task, total=1.0, completed=1.0, log_line="")
 

@@ -25,7 +25,7 @@ from stringcast.stages.export.mjcf import (
     choose_step,
 )
 from stringcast.stages.export.mujoco_motion import simulate_chain, tip_distances
-from stringcast.stages.export.samples import inference_data, write_netcdf
+from stringcast.stages.export.samples import inference_data
 from stringcast.stages.export.trajectory import (
     joint_trajectory,
     trajectory_json,
@@ -179,7 +179,8 @@ def write_samples(options: argparse.Namespace) -> None:
     string = KnownString.from_run(options.run)
     model, trials = trials_of_run(options.run, string)
     assert set(names) == {parameter.name for parameter in model.parameters}
-    write_netcdf(inference_data(model, trials, draws), options.file)
+    data = inference_data(model, trials, draws)
+    data.to_netcdf(str(options.file), engine="h5netcdf")
 
 
 def write_trajectory(options: argparse.Namespace) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
 
@@ -77,11 +77,6 @@ def add_handler(handler: logging.Handler) -> None:
     LOGGER.setLevel(logging.INFO)
 
 
-def show_log_on_terminal() -> None:
-    """Print the lines of the log on the terminal from now on."""
-    add_handler(logging.StreamHandler())
-
-
 def log_warnings() -> None:
     """Write the warnings of libraries into the log instead of onto the terminal."""
     logging.captureWarnings(True)
@@ -110,8 +105,3 @@ def log_to_folder(folder: Path) -> Iterator[None]:
             kind = type(error).__name__
             logging.getLogger(__name__).error("stopped early: %s: %s", kind, error)
             raise
-
-
-def forward_log(receive: Callable[[str], object]) -> AbstractContextManager[None]:
-    """Pass every message of the log to a function while the context lasts."""
-    return attach_handler(ForwardingHandler(receive))

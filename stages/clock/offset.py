@@ -258,7 +258,8 @@ def _common_offset(
     added: what was added to the camera's times before the fit [s]. floor: what no
     camera stamps better [s], added to half of the offset's interval.
     """
-    common = _posterior(clock, background, _common_columns(clock))
+    columns = [slope[None] for slope in time_slopes(clock)]
+    common = _posterior(clock, background, columns)
     value = added + clock.offset + common.mean[0]
     interval = Interval.from_deviation(value, common.standard_deviation[0], floor)
     drift, offset_with_drift = _estimate_drift(clock, background)
@@ -351,11 +352,6 @@ def _posterior(
     """Compute the posterior of offsets that may be anything."""
     precision = np.full(len(columns[0]), NO_PRIOR)
     return clock_posterior(clock, background, columns, precision)
-
-
-def _common_columns(clock: ClockFit) -> ByTrial:
-    """Return slopes with the offset of all trials, (1, 2 n)."""
-    return [slope[None] for slope in time_slopes(clock)]
 
 
 def _own_columns(clock: ClockFit) -> ByTrial:

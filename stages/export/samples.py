@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,8 +63,3 @@ def inference_data(
         attributes = {"units": parameter.unit, "long_name": parameter.meaning}
         data.posterior[parameter.name].attrs |= attributes
     return data
-
-
-def write_netcdf(data: Any, file: Path) -> None:
-    """Write InferenceData as netCDF."""
-    data.to_netcdf(str(file), engine="h5netcdf")
