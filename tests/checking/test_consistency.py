@@ -14,7 +14,7 @@ from stringcast.stages.check.consistency.corrections import (
     scale_all_times,
     scale_point_times,
 )
-from stringcast.stages.check.consistency.judge import is_wrong_geometry, judge
+from stringcast.stages.check.consistency.judge import judge, reason_beside_geometry
 from stringcast.stages.check.consistency.limits import broken_limits
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import find_answer
@@ -86,7 +86,17 @@ def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
     measured = scene_measurements("own_kernel", 2, speed=5.0)
     verdict = judge(measured)
     assert not verdict.is_consistent
-    assert not is_wrong_geometry(verdict)
+    assert "whips" in reason_beside_geometry(verdict)
+    assert not find_answer(measured, verdict).proposals
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_string_with_a_set_is_a_warning(seed):
+    """It rests bent, in a hand that is where it seems."""
+    measured = scene_measurements("own_kernel", seed, set_per_m=4.0)
+    verdict = judge(measured)
+    assert not verdict.is_consistent
+    assert "rests bent" in reason_beside_geometry(verdict)
     assert not find_answer(measured, verdict).proposals
 
 

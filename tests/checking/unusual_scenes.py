@@ -28,6 +28,7 @@ def scene_measurements(
     places: tuple[float, ...] = (0.5, 1.0),
     begin: float = 0.0,
     hidden: float = 0.0,
+    set_per_m: float = 0.0,
 ) -> Measurements:
     """Simulate casts and return what would be measured.
 
@@ -47,6 +48,8 @@ def scene_measurements(
         Share of each trial that is cut off, so that the string moves already.
     hidden
         Share of the frames in which the tip is hidden.
+    set_per_m
+        Curvature of the string at rest [1/m], of the own kernel.
     """
     rng = np.random.default_rng(seed)
     arm: Arm = replace(configured_arm(), base=base, links=links)
@@ -55,10 +58,11 @@ def scene_measurements(
     s = np.array(places) * length
     rod, camera = draw_rod(rng, length), draw_camera(rng)
     scene = Scene(load_simulator(simulator), arm, camera, rod, (), s, NOISE_M)
+    settings = {"rest_curvature.curvature": set_per_m} if set_per_m else {}
     recordings = []
     while len(recordings) < TRIALS:
         cast = random_cast(arm, rng, 200.0, speed)
-        points = scene.observe(cast, {}, Fidelity.SEARCH)
+        points = scene.observe(cast, settings, Fidelity.SEARCH)
         if not np.isfinite(points).all():
             continue
         points = points + NOISE_M * rng.standard_normal(points.shape)

@@ -10,7 +10,7 @@ import numpy as np
 from stringcast.data.dataset import exclude_stray_points
 from stringcast.stages.check.consistency.corrections import Correction
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
-from stringcast.stages.check.consistency.judge import Verdict, is_wrong_geometry
+from stringcast.stages.check.consistency.judge import Verdict, reason_beside_geometry
 from stringcast.stages.check.consistency.limits import BrokenLimit
 from stringcast.stages.check.consistency.search import (
     Answer,
@@ -106,12 +106,14 @@ def misfit_finding(
 ) -> Finding:
     """Return the finding of a misfit that no common mistake explains.
 
-    It is an error unless the beginning fits, or the geometry is stated to be measured.
+    It is an error unless it is as of another string or of one that whips, or the
+    geometry is stated to be measured.
     """
     is_measured = dataset.data.metadata.get("geometry") == "measured"
     statement, remedy = describe_misfit(verdict), LOOK_AT_GEOMETRY
-    if not is_wrong_geometry(verdict):
-        statement += "; at the beginning they are nearer, as of a string that whips"
+    reason = reason_beside_geometry(verdict)
+    if reason:
+        statement += f"; {reason}"
         report = warning
     elif is_measured:
         report = warning
@@ -140,8 +142,8 @@ def describe_contradiction(verdict: Verdict) -> str:
 def describe_misfit(verdict: Verdict) -> str:
     """Return how far points are from where a string in this hand would be."""
     return (
-        f"points are {verdict.misfit_m:.2g} m from where a string in this hand would "
-        f"be, on average and whatever its stiffness and the clocks"
+        f"points are {verdict.misfit_m:.2g} m from where a straight string in this "
+        f"hand would be, on average and whatever its stiffness and the clocks"
     )
 
 

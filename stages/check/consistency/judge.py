@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,9 @@ from stringcast.stages.check.consistency.limits import BrokenLimit, broken_limit
 from stringcast.stages.check.consistency.prediction import (
     ARC_LENGTH_GRID,
     BEGINNING,
+    STRAIGHT,
     WHOLE_MOTION,
+    WITH_SET,
     Horizon,
     Prediction,
     clock_offsets,
@@ -32,6 +34,9 @@ WRONG_MISFIT = 0.25
 # 5.5 %; 42 with a wrong base, joint order or length and a misfit between the limits
 # above by 4 to 26 %, 39 of them by more than 6 %.
 MAX_BEGINNING_MISFIT = 0.06
+# Of strings that rest bent, over that of straight ones: 0.4 for a set of 1.2 rad, 0.75
+# to 1 for wrong bases and joint angles
+MAX_BENT_RATIO = 0.5
 # Of a correction, over the misfit before: in 15 right datasets of other simulators a
 # fitted base leaves 0.6 to 1.2 of it.
 MAX_MISFIT_RATIO = 0.4
@@ -125,18 +130,20 @@ def judge(measured: Measurements) -> Verdict:
     return min(verdicts, key=lambda verdict: verdict.misfit_m)
 
 
-def is_wrong_geometry(verdict: Verdict) -> bool:
-    """Return whether a misfit is of the geometry, and not of a motion hard to predict.
+def reason_beside_geometry(verdict: Verdict) -> str:
+    """Say why a misfit may well be of the string or its motion; nothing if it is not.
 
-    Wrong geometry is wrong from the beginning. Where the string whips, errors of the
-    model grow.
+    A string may rest bent. Wrong geometry is wrong from the beginning: where the string
+    whips, errors of the model grow.
     """
-    if verdict.is_consistent or not verdict.misfits:
-        return False
-    if verdict.misfit > WRONG_MISFIT:
-        return True
-    beginning = judge_prediction(verdict.measured, BEGINNING)
-    return beginning.misfit > MAX_BEGINNING_MISFIT
+    bent = judge_prediction(verdict.measured, set_angles=WITH_SET)
+    if bent.is_consistent and bent.misfit < MAX_BENT_RATIO * verdict.misfit:
+        return f"a string that rests bent would be {bent.misfit_m:.2g} m from them"
+    if verdict.misfit < WRONG_MISFIT:
+        beginning = judge_prediction(verdict.measured, BEGINNING)
+        if beginning.misfit <= MAX_BEGINNING_MISFIT:
+            return "at the beginning they are nearer, as of a string that whips"
+    return ""
 
 
 def hanging_lengths(measured: Measurements) -> list[float]:
@@ -154,13 +161,18 @@ def hanging_lengths(measured: Measurements) -> list[float]:
 
 
 def judge_prediction(
-    measured: Measurements, horizon: Horizon = WHOLE_MOTION
+    measured: Measurements,
+    horizon: Horizon = WHOLE_MOTION,
+    set_angles: Sequence[float] = STRAIGHT,
 ) -> Verdict:
-    """Return how well the model predicts measurements of a string of known length."""
+    """Return how well the model predicts measurements of a string of known length.
+
+    set_angles: as of `predict`.
+    """
     tip = farthest_point(measured)
     fits: dict[str, TrialFit] = {}
     for recording in measured.recordings[:MAX_TRIALS]:
-        prediction = predict(measured, recording, horizon)
+        prediction = predict(measured, recording, horizon, set_angles)
         if prediction is not None:
             fit = fit_trial(prediction, recording, tip)
             if fit is not None:

@@ -7,6 +7,7 @@ string's length, a wrong stiffness or a missing effect by a few hundredths.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from stringcast.stages.check.consistency.record import (
     Track,
 )
 from stringcast.stages.common import GRAVITY_M_S2
+from stringcast.stages.model.effects.rest_curvature import RestCurvature
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.hand import resample_hand_motion
@@ -41,6 +43,10 @@ STIFFNESS_LADDER = (
     (200.0, 100.0),
 )
 REFERENCE_LENGTH_M = 0.3
+# sets that are tried, by the angle from end to end [rad]: as on a spool of a third of
+# the length around and more
+STRAIGHT = (0.0,)
+WITH_SET = (-2.25, -1.5, -0.75, 0.0, 0.75, 1.5, 2.25)
 OTHER_PARAMETERS = {
     "axial_stiffness": 6e5,
     "axial_damping": 30.0,
@@ -114,11 +120,16 @@ class Prediction:
 
 
 def predict(
-    measured: Measurements, recording: Recording, horizon: Horizon = WHOLE_MOTION
+    measured: Measurements,
+    recording: Recording,
+    horizon: Horizon = WHOLE_MOTION,
+    set_angles: Sequence[float] = STRAIGHT,
 ) -> Prediction | None:
     """Predict the string of a trial; None if the trial predicts nothing.
 
     That is so if the string moves from the beginning, or the hand never does.
+
+    set_angles: by which strings are bent from end to end at rest [rad].
     """
     length = measured.length
     if recording.starts_moving or recording.is_restless or length is None:
@@ -138,9 +149,11 @@ def predict(
     if in_span.sum() < MIN_FRAMES:
         return None
     motion = resample_hand_motion(t[in_span], pose[in_span], TICK_S)
-    string = String(length)
-    result = simulate(string, motion, ladder_values(string), motion.times)
-    return Prediction(motion.times, result.points, length, horizon)
+    rungs = []
+    for set_angle in set_angles:
+        string, values = ladder(length, set_angle)
+        rungs.append(simulate(string, motion, values, motion.times).points)
+    return Prediction(motion.times, np.concatenate(rungs), length, horizon)
 
 
 class MotionSpan(NamedTuple):
@@ -180,12 +193,15 @@ def first_beyond(
     return float(t[np.argmax(is_beyond)]) if is_beyond.any() else otherwise
 
 
-def ladder_values(string: String) -> np.ndarray:
-    """Return the ladder's parameters (C, P) for a string of this length.
+def ladder(length: float, set_angle: float) -> tuple[String, np.ndarray]:
+    """Return strings of a length [m] and set [rad], and the ladder's parameters (C, P).
 
     Stiffness grows with length, so that a rung means the same share of the weight.
     """
-    scale = string.length / REFERENCE_LENGTH_M
+    string = String(length)
+    if set_angle:
+        string = replace(string, effects=(*string.effects, RestCurvature))
+    scale = length / REFERENCE_LENGTH_M
     rows = []
     for bending, grasp in STIFFNESS_LADDER:
         values = OTHER_PARAMETERS | {
@@ -193,9 +209,11 @@ def ladder_values(string: String) -> np.ndarray:
             "bending_damping": bending * scale * DAMPING_TIME_S,
             "grasp_stiffness": grasp * scale,
             "grasp_damping": grasp * scale * DAMPING_TIME_S,
+            "rest_curvature.curvature": set_angle / length,
+            "rest_curvature.slope": 0.0,
         }
         rows.append([values[parameter.name] for parameter in string.parameters])
-    return np.array(rows)
+    return string, np.array(rows)
 
 
 def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> Track:
