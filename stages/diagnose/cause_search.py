@@ -59,16 +59,16 @@ def search_until_trials_settle(
     """Search causes, while these change which trials are used.
 
     A trial that is chaotic with the causes so far is left out, and returns once further
-    causes resolve it; a second time it is left out for good. The search goes on from
-    the causes. So it does with a trial that was outlying and that they predict: a
-    search with this trial has found others.
+    causes resolve it. If the fit to all trials does not resolve it, it is left out for
+    good. The search goes on from the causes. So it does with a trial that was outlying
+    and that they predict: a search with this trial has found others.
     """
     criteria = settings.criteria
     returned = list[str]()
     reached = _begin_search(trials, settings, returned, None)
     while True:
         yield reached
-        resolved = list[str]()
+        together = None
         chaotic = list[str]()
         states = select_causes(
             reached.state, reached.effects, criteria, settings.seed, settings.starts
@@ -79,16 +79,22 @@ def search_until_trials_settle(
             resolved = _trials_resolved_with_causes(
                 state, trials.searched_trials, criteria.tip_tolerance_m
             )
+            if resolved:
+                log.info("resolved with the causes: %s", ", ".join(resolved))
+                returned += resolved
+                together = _begin_search(trials, settings, returned, state)
+                if _trials_chaotic_with_causes(together.state, criteria):
+                    log.info("chaotic again: %s", ", ".join(resolved))
+                    trials = trials.excluding_chaotic(resolved)
+                    together = None
             chaotic = _trials_chaotic_with_causes(state, criteria)
-            if resolved or chaotic:
+            if together or chaotic:
                 break
             yield reached
 
         state = reached.state
-        if resolved:
-            log.info("resolved with the causes: %s", ", ".join(resolved))
-            returned += resolved
-            reached = _begin_search(trials, settings, returned, state)
+        if together is not None:
+            reached = together
             continue
         if chaotic:
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
