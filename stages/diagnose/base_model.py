@@ -9,7 +9,7 @@ import numpy as np
 from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
@@ -123,15 +123,16 @@ def widen_range_if_supported(
     return likelihood, chi
 
 
-def refit_from_new_starts(
+def search_other_strings(
     data: TrialData,
     fit: Fit,
     rng: np.random.Generator,
     starts: int,
-) -> Fit:
-    """Refit a hypothesis from other strings, the causes' parameters staying.
+) -> np.ndarray:
+    """Search the best exponents (P,) from other strings and from those of a fit.
 
-    The optimum of the base model may be a poor start for a model with a cause.
+    The optimum of the base model may be a poor start for a model with a cause. The
+    causes' parameters begin as they are.
     """
     hypothesis = fit.hypothesis
     is_cause = np.zeros(len(fit.chi), dtype=bool)
@@ -140,15 +141,12 @@ def refit_from_new_starts(
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(fit.chi)))
     candidates = np.where(is_cause, fit.chi, drawn)
     trials = with_model(data.trials, hypothesis.model)
-    likelihood = Likelihood(TrialData(trials), hypothesis.model)
-    sample = sample_trials(likelihood)
+    sample = sample_trials(Likelihood(TrialData(trials), hypothesis.model))
     best = screen_candidates(sample, candidates, starts - 1)
     tried = np.concatenate([fit.chi[None], best])
-    chi = search_parameters(
+    return search_parameters(
         sample,
         tried,
         MAX_SEARCH_ITERATIONS,
         last_iterations=MAX_LAST_ITERATIONS,
     )
-    refit = fit_hypothesis(data, hypothesis, chi[None], fit.scale_indices)
-    return refit if refit.log_evidence > fit.log_evidence else fit

@@ -9,13 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.diagnose.base_model import refit_from_new_starts
+from stringcast.stages.diagnose.base_model import search_other_strings
 from stringcast.stages.diagnose.discretisation import (
     correct_discretisation_once,
     without_trials,
 )
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
+    in_different_places,
     refit,
     unexplained_tip_rms,
 )
@@ -136,8 +137,7 @@ def add_cause(
     # Search more widely if much is left. Other strings are no better if their trials
     # are resolved worse: what is uncertain in these may explain anything.
     if unexplained_tip_rms(prepared.data, fit).max() > criteria.tip_tolerance_m:
-        other = refit_from_new_starts(prepared.data, fit, rng, starts)
-        refined = refine_fit(prepared, other)
+        refined = _refine_from_other_strings(prepared, fit, rng, starts)
         uncertainty_m = refined.prepared.discretisation_uncertainty_m
         before_m = prepared.discretisation_uncertainty_m
         gain = refined.fit.log_evidence - fit.log_evidence
@@ -148,6 +148,21 @@ def add_cause(
             prepared = refined.prepared
             fit = refined.fit
     return replace(state, prepared=prepared, fit=fit, steps=steps)
+
+
+def _refine_from_other_strings(
+    prepared: PreparedData, fit: Fit, rng: np.random.Generator, starts: int
+) -> RefinedFit:
+    """Refine a fit, and what a search from other strings finds; return the better one.
+
+    They are compared with the numerical error that each has itself: data without that
+    of the fit are near to the fit, however wrong it is.
+    """
+    chi = search_other_strings(prepared.data, fit, rng, starts)
+    found = evaluate_fit(prepared.data, fit.hypothesis, chi)
+    places = in_different_places([fit, found])
+    refined = [refine_fit(prepared, place) for place in places]
+    return max(refined, key=lambda each: each.fit.log_evidence)
 
 
 def _refit_step(

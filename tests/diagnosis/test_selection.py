@@ -380,3 +380,31 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
     after = replace(before, hypothesis=hypothesis, chi=start)
     assert after.values == pytest.approx(before.values)
     assert not np.allclose(start, chi)
+
+
+@pytest.mark.parametrize("own_evidence", [50.0, -50.0])
+def test_another_string_is_compared_with_its_own_numerical_error(
+    own_evidence, monkeypatch
+):
+    """A better string looks worse in data without the numerical error of another."""
+
+    def fit_at(distance, log_evidence):
+        residuals = [np.full(4, distance)]
+        return SimpleNamespace(
+            residuals=residuals, log_evidence=log_evidence, hypothesis=None
+        )
+
+    fit, found = fit_at(1.0, 0.0), fit_at(9.0, -900.0)
+    evidence_of = {id(fit): 1.0, id(found): own_evidence}
+
+    def refine(prepared, start):
+        refined = SimpleNamespace(log_evidence=evidence_of[id(start)])
+        return RefinedFit(prepared, refined)
+
+    monkeypatch.setattr(selection_state, "search_other_strings", lambda *given: None)
+    monkeypatch.setattr(selection_state, "evaluate_fit", lambda *given: found)
+    monkeypatch.setattr(selection_state, "refine_fit", refine)
+    better = selection_state._refine_from_other_strings(
+        SimpleNamespace(data=None), fit, None, 4
+    )
+    assert better.fit.log_evidence == max(own_evidence, 1.0)
