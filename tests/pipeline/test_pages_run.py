@@ -70,6 +70,9 @@ RUN = {
     "pipeline +experiment=adaptive specimen=C target=at_500_900 +specimen.hidden.tip_mass.ratio=0.3": Run(
         **CAST
     ),
+    "pipeline method=robust specimen=B target=at_400_700 target.w=0.0005 target.h=0.0005 max_casts=4 seed=7 +specimen.hidden.tip_mass.ratio=0.3": Run(
+        **CAST
+    ),
     "pipeline target.x=0.45 target.y=0.65 seed=3": Run(**CAST),
     "pipeline 'effects=[tip_mass,arm_lag]'": Run(**CAST),
     "pipeline +experiment=stringB seed=0 hydra.run.dir=outputs/gallery": Run(**CAST),
