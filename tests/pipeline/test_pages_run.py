@@ -83,6 +83,7 @@ RUN = {
     "pipeline +experiment=diagnose trials=data/sample": Run(
         r"report\.html$", **DIAGNOSED
     ),
+    "pipeline +experiment=diagnose trials=outputs/...": Run(**DIAGNOSED),
     "pipeline +experiment=diagnose trials=<folder>": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=diagnose trials=mine": Run(**DIAGNOSED, of="mine"),
     "pipeline +experiment=decide trials=outputs/...": Run(**DIAGNOSED),
