@@ -25,7 +25,11 @@ from tests.importing.mistakes import simulated_bench
 
 @pytest.fixture(scope="module")
 def measured():
-    bench = simulated_bench().with_tip_alone()
+    return measurements_of(simulated_bench().with_tip_alone())
+
+
+def measurements_of(bench):
+    """Return what a bench measures, at places that are not stated."""
     recordings = []
     for number, ((t, joints), points) in enumerate(
         zip(bench.hands, bench.points, strict=True)
@@ -55,6 +59,21 @@ def test_a_mistake_has_one_answer(measured, mistake):
     (proposal,) = find_answer(spoilt, judge(spoilt)).proposals
     kind = KINDS.get(mistake, mistake.split()[0])
     assert [correction.kind for correction in proposal.corrections] == [kind]
+
+
+def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
+    """Without a length, longer strings with other clocks come near to such points."""
+    right = replace(measurements_of(simulated_bench()), length=None)
+    assert not broken_limits(right)
+
+    def turn_over(track):
+        return replace(track, xy=track.xy * [1.0, -1.0])
+
+    wrong = right.with_tracks(turn_over)
+    assert {limit.kind for limit in broken_limits(wrong).values()} == {"order"}
+    (proposal,) = find_answer(wrong, judge(wrong)).proposals
+    assert [correction.kind for correction in proposal.corrections] == ["y_down"]
+    assert proposal.verdict.measured.length == pytest.approx(0.32, rel=0.05)
 
 
 def test_a_base_that_the_motion_does_not_show_is_asked_for(measured):

@@ -28,6 +28,7 @@ REMEDIES = {
     "speed": "Look at the units of joint angles [rad], positions [m] and times [s]",
     "arc length": "Correct string.length in dataset.yaml, or s",
     "stretch": "Look at the units of s, x, y and string.length: all are metres",
+    "order": "Look at the names of the points, and at the directions of x and y",
     "gap": (
         "Give points and hand in one frame of reference: see arm.base and "
         "camera.origin_px in dataset.yaml, and whether the angles count from +x, "

@@ -22,6 +22,9 @@ MAX_GAP = 0.25
 # so many points of a motion must be possible: others may be outliers
 GAP_QUANTILE = 0.8
 MAX_STRETCH = 1.5  # no piece is so many times as long as its arc length
+# of the distance of any point from the grasp: a string that rests with its tip nearer
+# is bent by more than half a turn
+MIN_TIP_DISTANCE = 0.95
 PLAUSIBLE_LENGTHS_M = (0.01, 20.0)
 MAX_HAND_SPEED = 40.0  # [m/s]
 SPEED_QUANTILE = 0.95  # so many steps must be possible: others may be outliers
@@ -33,7 +36,8 @@ OFFSET_COUNT = 81  # clock offsets that are tried
 class BrokenLimit:
     """A limit that a trial breaks.
 
-    kind: length, speed, arc length, stretch or gap. statement: what is impossible.
+    kind: length, speed, arc length, stretch, order or gap. statement: what is
+    impossible.
     """
 
     kind: str
@@ -61,7 +65,11 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
     if speed > MAX_HAND_SPEED:
         return BrokenLimit("speed", f"the hand would move with {speed:.3g} m/s")
     known = [track for track in recording.tracks if track.s is not None]
-    limit = broken_arc_length(known, length) or broken_stretch(known)
+    limit = (
+        broken_arc_length(known, length)
+        or broken_stretch(known)
+        or broken_order(recording, pose[0, :2])
+    )
     if limit is not None:
         return limit
     for track in recording.tracks:
@@ -98,6 +106,26 @@ def broken_stretch(tracks: Sequence[Track]) -> BrokenLimit | None:
                 "times as far apart as their arc lengths"
             )
             return BrokenLimit("stretch", statement)
+    return None
+
+
+def broken_order(recording: Recording, hand: np.ndarray) -> BrokenLimit | None:
+    """Return the limit that a tip in the middle of the string breaks, or None.
+
+    Without stated arc lengths a tip is known by its name. hand: at rest, (2,) [m].
+    """
+    tip = recording.track("tip")
+    if tip is None or tip.s is not None or recording.starts_moving:
+        return None
+    tip_m = float(np.linalg.norm(tip.rest_place - hand))
+    for track in recording.tracks:
+        distance_m = float(np.linalg.norm(track.rest_place - hand))
+        if tip_m < MIN_TIP_DISTANCE * distance_m:
+            statement = (
+                f"the tip would rest {tip_m:.3g} m from the grasp, and the point "
+                f"'{track.point}' {distance_m:.3g} m"
+            )
+            return BrokenLimit("order", statement)
     return None
 
 
