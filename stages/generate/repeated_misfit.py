@@ -104,10 +104,12 @@ def find_repeated_misfit(
     Returns
     -------
     RepeatedMisfit or None
-        None without a trial, and if the last trial of the estimate is not the previous
-        motion, because that could not be trusted.
+        None without a cast, as no cast resembles a look, and if the last trial of the
+        estimate is not the previous motion, because that could not be trusted.
     """
-    if previous is None or estimate is None or estimate.misfit.empty:
+    if previous is None or not previous.is_cast:
+        return None
+    if estimate is None or estimate.misfit.empty:
         return None
     table = estimate.misfit
     times = table["t"].to_numpy()

@@ -52,8 +52,6 @@ def run(
         return describe_missing_test(
             "Too few frames were read to compare the tip with its prediction."
         )
-    if last_motion is not None and not last_motion.is_cast:
-        last_motion = None  # no cast resembles a look
 
     rng = np.random.default_rng(call.seed)
     model = extend_model(call.setup.model, estimate.values())
