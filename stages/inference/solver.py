@@ -209,8 +209,8 @@ def distinct_starts(problem: Problem, starts: np.ndarray) -> np.ndarray:
     """Leave out starts (R, P) in the same place as a better one."""
     if len(starts) < 2:
         return starts
-    runs = SolverRuns.start(problem, starts)
-    return starts[different_places(runs.residual, runs.loss)]
+    residual = problem.residuals(starts)
+    return starts[different_places(residual, huber_loss(residual, problem.limit))]
 
 
 def different_places(residual: np.ndarray, loss: np.ndarray) -> list[int]:
