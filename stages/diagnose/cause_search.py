@@ -82,11 +82,10 @@ def search_until_trials_settle(
             if resolved:
                 log.info("resolved with the causes: %s", ", ".join(resolved))
                 returned += resolved
-                together = _begin_search(trials, settings, returned, state)
-                if _trials_chaotic_with_causes(together.state, criteria):
+                together = _search_together(trials, settings, returned, state)
+                if together is None:
                     log.info("chaotic again: %s", ", ".join(resolved))
                     trials = trials.excluding_chaotic(resolved)
-                    together = None
             chaotic = _trials_chaotic_with_causes(state, criteria)
             if together or chaotic:
                 break
@@ -144,6 +143,18 @@ def _begin_search(
             prepared, known, criteria, settings.seed, settings.starts
         )
     return SearchProgress(used, prepared, effects, state)
+
+
+def _search_together(
+    trials: TrialsByUse,
+    settings: DiagnosisSettings,
+    returned: Sequence[str],
+    known: SelectionState,
+) -> SearchProgress | None:
+    """Search with trials that returned, or not at all if the fit leaves any chaotic."""
+    together = _begin_search(trials, settings, returned, known)
+    chaotic = _trials_chaotic_with_causes(together.state, settings.criteria)
+    return None if chaotic else together
 
 
 def _trials_for_another_search(
