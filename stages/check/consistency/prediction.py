@@ -46,7 +46,7 @@ REFERENCE_LENGTH_M = 0.3
 # sets that are tried, by the angle from end to end [rad]: as on a spool of a third of
 # the length around and more
 STRAIGHT = (0.0,)
-WITH_SET = (-2.25, -1.5, -0.75, 0.0, 0.75, 1.5, 2.25)
+WITH_SET = (-2.25, -1.5, -0.75, 0.75, 1.5, 2.25)
 OTHER_PARAMETERS = {
     "axial_stiffness": 6e5,
     "axial_damping": 30.0,
