@@ -183,7 +183,9 @@ def _path_in_mask(
     return best
 
 
-def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centreline:
+def refine_line(
+    frame: SegmentedFrame, path: np.ndarray, half_width: float
+) -> Centreline:
     """Move a traced line to the centroid of light across it, and its end to the tip.
 
     Parameters
@@ -193,7 +195,7 @@ def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centrel
         extended.
     path : (K, 2) array
         Traced pixels (u, v).
-    half : float
+    half_width : float
         Half the string's width [px].
 
     Returns
@@ -201,55 +203,63 @@ def refine_line(frame: SegmentedFrame, path: np.ndarray, half: float) -> Centrel
     Centreline
         Points about a pixel apart, with their uncertainty.
     """
-    # the deepest pixel of a wide end is its corner
-    firm = max(len(path) - int(np.ceil(1.5 * half)), 2)
-    rough = gaussian_filter1d(path[:firm], max(2.0, half / 2), axis=0, mode="nearest")
-    extended = _extend_line(rough, half, 2 * half + 4)
-    first = _centre_points(frame, extended, half)
+    # first pass, without the path's end: the deepest pixel of a wide end is its corner
+    read_count = max(len(path) - int(np.ceil(1.5 * half_width)), 2)
+    smoothing = max(2.0, half_width / 2)
+    line = gaussian_filter1d(path[:read_count], smoothing, axis=0, mode="nearest")
+    line = _extend_line(line, half_width, 2 * half_width + 4)
+    first = _centre_points(frame, line, half_width)
     if np.isnan(first.light[-1]):
         return first  # its end is hidden, so that nothing shows where to extend it
 
-    # a second pass from points a pixel apart, without the end: if it was cut at an
+    # second pass from points a pixel apart, without the end: if it was cut at an
     # angle, it is not lit on both sides
-    firm = max(len(first.points) - 1 - int(np.ceil(half)), 2)
-    depth = first.depth[:firm]
+    read_count = max(len(first.points) - 1 - int(np.ceil(half_width)), 2)
+    depth = first.depth[:read_count]
     count = max(round(depth[-1]) + 1, 2)
-    s = np.linspace(0, depth[-1], count)
-    line = interpolate_rows(s, depth, first.points[:firm])
-    return _centre_points(frame, _extend_line(line, half, 3 * half + 5), half)
+    even_depth = np.linspace(0, depth[-1], count)
+    line = interpolate_rows(even_depth, depth, first.points[:read_count])
+    line = _extend_line(line, half_width, 3 * half_width + 5)
+    return _centre_points(frame, line, half_width)
 
 
-def _centre_points(frame: SegmentedFrame, line: np.ndarray, half: float) -> Centreline:
+def _centre_points(
+    frame: SegmentedFrame, line: np.ndarray, half_width: float
+) -> Centreline:
     """Move a line (K, 2) [px] to the centroid of light, and cut it at the tip.
 
-    Its points are a pixel apart and go on beyond the tip.
+    Its points are a pixel apart and go on beyond the tip. Within half a width of the
+    tip they keep the last shift that was read.
     """
     tangent = np.gradient(line, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = turn_left(tangent)
-    profile = _cross_profiles(frame, line, normal, half)
-    end, end_sigma = _find_end(profile.light, profile.outlined, half)
+    profile = _cross_profiles(frame, line, normal, half_width)
+    end, end_sigma = _find_end(profile.light, profile.outlined, half_width)
 
+    # points before the tip, and the tip itself a part of a pixel beyond the last one
     last = int(end)
     count = last + 1
-    firm = max(count - int(np.ceil(half)), 1)
-    shift = gaussian_filter1d(profile.shift[:firm], max(1.0, half / 3), mode="nearest")
-    shift = np.pad(shift, (0, count - firm), mode="edge")
+    read_count = max(count - int(np.ceil(half_width)), 1)
+    smoothing = max(1.0, half_width / 3)
+    shift = gaussian_filter1d(profile.shift[:read_count], smoothing, mode="nearest")
+    shift = np.pad(shift, (0, count - read_count), mode="edge")
     points = line[:count] + shift[:, None] * normal[:count]
     tip = line[last] + (end % 1) * tangent[last] + shift[-1] * normal[last]
 
-    nearest = np.append(np.arange(count), last)  # the tip is like the point before it
-    across, unseen = profile.sigma[nearest], profile.unseen[nearest]
-    sigma = point_sigmas(across, unseen, firm, end_sigma)
+    number = np.append(np.arange(count), last)  # the tip is read as the point before it
+    sigma = point_sigmas(
+        profile.sigma[number], profile.unseen[number], read_count, end_sigma
+    )
     light = np.where(profile.outlined, np.nan, profile.light)
-    return Centreline(np.vstack([points, tip]), sigma, light[nearest])
+    return Centreline(np.vstack([points, tip]), sigma, light[number])
 
 
 def _cross_profiles(
-    frame: SegmentedFrame, line: np.ndarray, normal: np.ndarray, half: float
+    frame: SegmentedFrame, line: np.ndarray, normal: np.ndarray, half_width: float
 ) -> CrossProfile:
     """Read profiles across a line (K, 2) [px] along its unit normals (K, 2)."""
-    reach = max(MIN_PROFILE_REACH_PX, 1.8 * half + 2)
+    reach = max(MIN_PROFILE_REACH_PX, 1.8 * half_width + 2)
     across = np.arange(-reach, reach + 0.25, 0.5)  # (M,) [px]
     places = line[:, None] + across[None, :, None] * normal[:, None]  # (K, M, 2)
     u, v = np.moveaxis(places.astype(np.float32), -1, 0)
@@ -263,7 +273,7 @@ def _cross_profiles(
     shift[0] = 0.0  # the arm shows where the string begins
 
     is_dark = total < 4 * frame.noise
-    on_string = np.abs(across) <= half + 1
+    on_string = np.abs(across) <= half_width + 1
     is_outlined = outline[:, on_string].max(axis=1) > 0.5
     # an outline is read again at some distance from where it begins
     is_near_edge = distance_transform_edt(is_dark | is_outlined) < EXTENSION_PX
@@ -272,42 +282,43 @@ def _cross_profiles(
 
     seen = np.flatnonzero(~is_unseen)
     shift = np.interp(np.arange(len(shift)), seen, shift[seen])
-    sigma = centroid_sigma(bright, across, is_unseen, frame.noise, half)
+    sigma = centroid_sigma(bright, across, is_unseen, frame.noise, half_width)
     return CrossProfile(shift, sigma, total, is_outlined, is_unseen)
 
 
-def _extend_line(line: np.ndarray, half: float, extension: float) -> np.ndarray:
+def _extend_line(line: np.ndarray, half_width: float, extension: float) -> np.ndarray:
     """Extend a line straight by up to `extension` [px], a pixel a point."""
-    last = line[-1 - int(max(6.0, 2 * half)) :]
-    direction = np.polyfit(np.arange(len(last)), last, 1)[0]
+    end_points = line[-1 - int(max(6.0, 2 * half_width)) :]
+    direction = np.polyfit(np.arange(len(end_points)), end_points, 1)[0]
     direction /= max(float(np.linalg.norm(direction)), 1e-9)
     beyond = line[-1] + np.arange(1, extension)[:, None] * direction
     return np.concatenate([line, beyond])
 
 
 def _find_end(
-    light: np.ndarray, outlined: np.ndarray, half: float
+    light: np.ndarray, outlined: np.ndarray, half_width: float
 ) -> tuple[float, float]:
     """Find the point at which the light along a line falls to half, and its sigma.
 
     Blur along the string fades its end; half is where the end is in the middle of the
     exposure, however fast it moved. An end hidden by an outline may lie anywhere in it.
+    Both are in numbers of points, which are pixels.
     """
-    reach = int(4 * half + 4 + END_MARGIN_PX)
+    reach = int(4 * half_width + 4 + END_MARGIN_PX)
     first = max(len(light) - reach, 0)
-    level = float(np.percentile(light[first:], 75)) / 2
-    last = int(np.flatnonzero(light >= level)[-1])
-    hidden = int(np.argmin(np.append(outlined[last + 1 :], False)))
-    if hidden or last + 1 == len(light):
-        # standard deviation of a uniform distribution over the hidden points
-        return last + hidden / 2, max(hidden, 1) / np.sqrt(12)
+    full_light = float(np.percentile(light[first:], 75))
+    half_light = full_light / 2
+    last = int(np.flatnonzero(light >= half_light)[-1])
+    hidden_count = int(np.argmin(np.append(outlined[last + 1 :], False)))
+    if hidden_count or last + 1 == len(light):
+        # mean and standard deviation of a uniform distribution over the hidden points
+        return last + hidden_count / 2, max(hidden_count, 1) / np.sqrt(12)
 
-    drop = float(light[last] - light[last + 1])
-    end = last + float(light[last] - level) / drop
-    plateau_end = max(last - int(2 * half), first + 1)
-    plateau = light[first:plateau_end]
-    level_sigma = mad_sigma(plateau - 2 * level) / drop
-    return end, float(np.hypot(END_SHAPE_SIGMA_PX, level_sigma))
+    drop = float(light[last] - light[last + 1])  # [grey levels half pixels] a point
+    end = last + float(light[last] - half_light) / drop
+    plateau = light[first : max(last - int(2 * half_width), first + 1)]
+    light_sigma = mad_sigma(plateau - full_light)
+    return end, float(np.hypot(END_SHAPE_SIGMA_PX, light_sigma / drop))
 
 
 def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:

@@ -31,7 +31,7 @@ from stringcast.stages.extract.segment import (
     Backdrop,
     estimate_background,
     fill_never_uncovered,
-    half_width,
+    mask_half_width,
     pack_mask,
     segment_frame,
     string_brightness,
@@ -146,13 +146,13 @@ def extract(
     if arm_fit is not None:
         footage = footage.with_body(arm_fit.body)
     length_px = string_length * camera.px_per_m
-    scene, half = _estimate_scene(
+    scene, half_width = _estimate_scene(
         frames, uncovered, footage, camera, arm_width_px, length_px
     )
     reader = FrameReader(
         footage,
         camera,
-        Backdrop(scene, string_brightness(images, scene), half, sway),
+        Backdrop(scene, string_brightness(images, scene), half_width, sway),
         arc_lengths=np.linspace(0, string_length, points),
         sigmas=sigmas,
         arm_width=arm_width_px,
@@ -201,13 +201,13 @@ def _estimate_scene(
         if footage.body is not None:
             joints = camera.pixels(footage.body[number])
         arms.append(pack_mask(rasterise(joints, uncovered.shape, arm_width)))
-    half = typical_half_width(frames, uncovered, arms)
+    half_width = typical_half_width(frames, uncovered, arms)
     scene = fill_never_uncovered(
-        estimate_background(frames, arms, uncovered, half),
+        estimate_background(frames, arms, uncovered, half_width),
         camera.pixels(footage.grasp[:, :2]),
         string_length,
     )
-    return scene, half
+    return scene, half_width
 
 
 @dataclass(frozen=True)
@@ -282,10 +282,13 @@ class FrameReader:
             blur,
             self.sigmas,
         )
-        half = min(half_width(frame.mask), self.backdrop.half + MAX_EXTRA_HALF_WIDTH_PX)
+        half_width = min(
+            mask_half_width(frame.mask),
+            self.backdrop.half_width + MAX_EXTRA_HALF_WIDTH_PX,
+        )
         ridge = frame.light
-        if half > WIDE_STRING_HALF_WIDTH_PX:
-            ridge = cv2.GaussianBlur(ridge, (0, 0), 0.6 * half)
+        if half_width > WIDE_STRING_HALF_WIDTH_PX:
+            ridge = cv2.GaussianBlur(ridge, (0, 0), 0.6 * half_width)
         path = trace_line(
             ridge,
             frame.mask,
@@ -293,13 +296,15 @@ class FrameReader:
             grasp - window.corner,
             start_radius=self.hidden + TRACE_START_MARGIN_PX,
         )
-        line = refine_line(frame, path, half)
-        check_line(line, frame.mask, half)
+        line = refine_line(frame, path, half_width)
+        check_line(line, frame.mask, half_width)
 
         points = np.concatenate([grasp[None], line.points[1:] + window.corner])
         sigma = np.hypot(line.sigma, self.backdrop.sway)
         sigma[0] = np.hypot(sigma[0], self.hand_sigma)
-        near_line = rasterise(points - window.corner, frame.mask.shape, 9 + 2 * half)
+        near_line = rasterise(
+            points - window.corner, frame.mask.shape, 9 + 2 * half_width
+        )
         mask = window.paste(frame.mask & (near_line > 0), image.shape)
         return replace(line, points=points, sigma=sigma), mask
 

@@ -31,23 +31,23 @@ MAX_OVERLAP_WIDTHS = 1.5
 MAX_ATTACHED_SHARE = 0.06  # of the line's length: what may hang beside it
 
 
-def check_line(line: Centreline, mask: np.ndarray, half: float) -> None:
+def check_line(line: Centreline, mask: np.ndarray, half_width: float) -> None:
     """Raise UnreadableError with the reason where the line fails a quality check.
 
-    mask: (height, width) uint8, the string's pixels. half: half its width [px].
+    mask: (height, width) uint8, the string's pixels. half_width: half its width [px].
     """
     step = np.append(step_lengths(line.points), 0.0)
     typical = 0.0
     if np.isfinite(line.light).any():
         typical = float(np.nanmedian(line.light))
-    width = 2 * half
+    width = 2 * half_width
     gap = longest_run(line.light < MIN_RELATIVE_LIGHT * typical, step)
     if gap > max(MAX_GAP_PX, MAX_GAP_WIDTHS * width):
         raise UnreadableError("the string is interrupted")
     overlap = longest_run(line.light > MAX_RELATIVE_LIGHT * typical, step)
     if overlap > max(MAX_OVERLAP_PX, MAX_OVERLAP_WIDTHS * width):
         raise UnreadableError("the string lies on itself, or on something like it")
-    if attached_length(line, mask, half) > MAX_ATTACHED_SHARE * line.depth[-1]:
+    if attached_length(line, mask, half_width) > MAX_ATTACHED_SHARE * line.depth[-1]:
         raise UnreadableError("something like a string hangs together with the string")
 
 
@@ -63,12 +63,12 @@ def longest_run(selected: np.ndarray, step: np.ndarray) -> float:
     return longest
 
 
-def attached_length(line: Centreline, mask: np.ndarray, half: float) -> float:
+def attached_length(line: Centreline, mask: np.ndarray, half_width: float) -> float:
     """Measure what is connected with the line and not on it, as a length [px].
 
     It is taken to be as wide as the line.
     """
-    near = rasterise(line.points, mask.shape, 5 + 4 * half) > 0
+    near = rasterise(line.points, mask.shape, 5 + 4 * half_width) > 0
     is_string = mask > 0
     patch = cv2.connectedComponents(mask, connectivity=8)[1]
     # pixels of each patch, on the line and in all

@@ -44,13 +44,13 @@ class Backdrop:
     ----------
     scene : (height, width) grey levels without string and arm
     string : brightness of the string [grey levels]
-    half : half its width, blurred [px]
+    half_width : half its width, blurred [px]
     sway : standard deviation of the camera's direction [px]
     """
 
     scene: np.ndarray
     string: float
-    half: float
+    half_width: float
     sway: float
 
 
@@ -131,7 +131,7 @@ def estimate_background(
     frames: Sequence[np.ndarray],
     arm: Sequence[np.ndarray],
     uncovered: np.ndarray,
-    half: float,
+    half_width: float,
 ) -> np.ndarray:
     """Estimate the scene without string and arm.
 
@@ -146,7 +146,7 @@ def estimate_background(
         Masks of the arm in each, from `pack_mask`.
     uncovered : (height, width) array
         Result of `uncovered_brightness`.
-    half : float
+    half_width : float
         Half the string's width [px].
 
     Returns
@@ -156,7 +156,7 @@ def estimate_background(
     """
     lit = _map_bands(_brightness_without_arm, frames, arm)
     brighter = np.maximum(lit - uncovered, 0)
-    width = 2 * int(np.ceil(2 * half)) + 5
+    width = 2 * int(np.ceil(2 * half_width)) + 5
     square = np.ones((width, width), np.uint8)
     wide = cv2.morphologyEx(brighter, cv2.MORPH_OPEN, square)
     return uncovered + np.where(wide > SHADOW_GREY, wide, 0)
@@ -226,11 +226,11 @@ def typical_half_width(
         near_arm = cv2.dilate(covered, np.ones((5, 5))) > 0
         above = np.where(near_arm, 0, frames[number] - scene)
         bright = (above > above.max() / 2).astype(np.uint8)
-        widths.append(half_width(remove_specks(bright)))
+        widths.append(mask_half_width(remove_specks(bright)))
     return float(np.percentile(widths, 90))
 
 
-def half_width(mask: np.ndarray) -> float:
+def mask_half_width(mask: np.ndarray) -> float:
     """Measure half the width of a mask: distance of its inside from its edge [px]."""
     if not mask.any():
         return 1.0

@@ -27,7 +27,7 @@ def centroid_sigma(
     across: np.ndarray,
     unseen: np.ndarray,
     noise: float,
-    half: float,
+    half_width: float,
 ) -> np.ndarray:
     """Estimate the standard deviation of the centroid across a line.
 
@@ -41,7 +41,7 @@ def centroid_sigma(
         Whether nothing is seen at a point, and the line is extended across it.
     noise : float
         Standard deviation of the light at one pixel [grey levels].
-    half : float
+    half_width : float
         Half the string's width [px].
 
     Returns
@@ -51,7 +51,7 @@ def centroid_sigma(
         centroid.
     """
     total = np.maximum(bright.sum(axis=1), 4 * noise)
-    inside = np.abs(across) <= 1.3 * half + 1
+    inside = np.abs(across) <= 1.3 * half_width + 1
     spacing = across[1] - across[0]
     lever = np.sqrt(np.sum(across[inside] ** 2) * NOISE_CORRELATION_PX / spacing)
     by_noise = SMOOTHED_NOISE_SHARE * noise * lever / total
@@ -63,13 +63,13 @@ def centroid_sigma(
         + by_light_outside**2
         + by_extension**2
         + MIN_SIGMA_PX**2
-        + (CENTRE_ERROR_SHARE * half) ** 2
+        + (CENTRE_ERROR_SHARE * half_width) ** 2
     )
     return np.asarray(np.sqrt(variance))
 
 
 def point_sigmas(
-    across: np.ndarray, unseen: np.ndarray, firm: int, end: float
+    across: np.ndarray, unseen: np.ndarray, read_count: int, end_sigma: float
 ) -> np.ndarray:
     """Combine uncertainty across and along a line into that of one coordinate.
 
@@ -79,9 +79,9 @@ def point_sigmas(
         Standard deviation across the line [px], of points a pixel apart.
     unseen : (K,) bool array
         Whether nothing is seen at a point.
-    firm : int
+    read_count : int
         Number of points before the line is extended straight to its end.
-    end : float
+    end_sigma : float
         Standard deviation of the end along the line [px].
 
     Returns
@@ -92,7 +92,7 @@ def point_sigmas(
     number = np.arange(len(across))
     share = number / max(len(across) - 1, 1)
     hidden = np.cumsum(HIDDEN_LENGTH_SIGMA * unseen)
-    to_end = (hidden[-1] - hidden) ** 2 + end**2
+    to_end = (hidden[-1] - hidden) ** 2 + end_sigma**2
     along = ((1 - share) * hidden) ** 2 + share**2 * to_end
-    extension = END_SLOPE_SIGMA * np.maximum(number - firm, 0)
+    extension = END_SLOPE_SIGMA * np.maximum(number - read_count, 0)
     return np.asarray(np.sqrt((across**2 + extension**2 + along) / 2))

@@ -169,7 +169,7 @@ def test_the_wall_behind_a_passing_shadow_is_bright():
     stack[3:7, :, 10:24] = 30
     stack[9:, 20, :] = 200  # a string at rest
     arm = [pack_mask(np.zeros((40, 40), bool))] * 20
-    scene = estimate_background(stack, arm, uncovered_brightness(stack), half=1.0)
+    scene = estimate_background(stack, arm, uncovered_brightness(stack), half_width=1.0)
     assert scene[5, 17] == pytest.approx(60, abs=1)
     assert scene[20, 35] == pytest.approx(60, abs=1)
 

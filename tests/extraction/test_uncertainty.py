@@ -104,7 +104,7 @@ def test_sigma_grows_where_nothing_is_seen():
     """
     lost = np.arange(100) < 10
     seen, hidden = (
-        point_sigmas(np.full(100, 0.05), some, 99, end=0.2)
+        point_sigmas(np.full(100, 0.05), some, 99, end_sigma=0.2)
         for some in (np.zeros(100, bool), lost)
     )
     assert hidden[10] > 3 * seen[10]
