@@ -68,30 +68,36 @@ def fit_schedule(t: np.ndarray, period: float) -> FrameSchedule:
     """
     elapsed = t - t[0]
     rate, phase = _most_coherent_rate(elapsed, period)
-    # times in periods, near whole numbers
-    turns = elapsed * rate - phase / (2 * np.pi)
-    late = turns - np.rint(turns)
-    quickest = np.percentile(late, QUICK_PERCENTILE)
-    numbers = _distinct_numbers(np.floor(turns - quickest + EARLY_PERIODS).astype(int))
-    slope = _seconds_per_number(numbers, t, period)
-    late = t - slope * numbers
-    quickest = np.percentile(late, QUICK_PERCENTILE)
-    due = quickest + slope * numbers
-    return FrameSchedule(slope, numbers, due, late - quickest)
+
+    # the number of the last moment of exposure before each frame
+    periods = elapsed * rate - phase / (2 * np.pi)  # near whole numbers
+    late_periods = periods - np.rint(periods)
+    quickest_periods = np.percentile(late_periods, QUICK_PERCENTILE)
+    last_moment = np.floor(periods - quickest_periods + EARLY_PERIODS)
+    numbers = _distinct_numbers(last_moment.astype(int))
+
+    # the schedule through the quickest frames [s]
+    fitted_period = _fit_period(numbers, t, period)
+    start = t - fitted_period * numbers  # moment of frame 0, by each frame
+    quickest_start = np.percentile(start, QUICK_PERCENTILE)
+    due = quickest_start + fitted_period * numbers
+    return FrameSchedule(fitted_period, numbers, due, start - quickest_start)
 
 
 def _most_coherent_rate(elapsed: np.ndarray, period: float) -> tuple[float, float]:
     """Find the rate near 1 / period [1/s] with which times are most in step.
 
-    Returns the rate and its phase [rad].
+    It is the highest peak of the periodogram |sum_k exp(2 pi i rate t_k)|^2 (Bartlett
+    1963). Returns the rate and the phase of the sum [rad].
     """
-    span = elapsed[-1] / period + 1  # periods
-    steps = int(np.ceil(16 * PERIOD_TOLERANCE * span))  # eight to the width of a peak
+    span_periods = elapsed[-1] / period + 1
+    # eight to the width of a peak
+    steps = int(np.ceil(16 * PERIOD_TOLERANCE * span_periods))
     low, high = 1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE
     rates = np.linspace(low, high, 2 * steps + 1) / period
-    waves = np.array([np.exp(2j * np.pi * rate * elapsed).sum() for rate in rates])
-    best = int(np.argmax(np.abs(waves)))
-    return rates[best], np.angle(waves[best])
+    sums = np.array([np.exp(2j * np.pi * rate * elapsed).sum() for rate in rates])
+    best = int(np.argmax(np.abs(sums)))
+    return rates[best], np.angle(sums[best])
 
 
 def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
@@ -100,18 +106,23 @@ def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
     Of two frames with one number the earlier was late, and so are those that it pushes.
     """
     indices = np.arange(len(numbers))
-    room = (numbers - indices)[::-1]
-    distinct = np.minimum.accumulate(room)[::-1] + indices
+    # numbers that rise by one or more have excesses over the indices that never fall
+    excess = numbers - indices
+    least_excess_behind = np.minimum.accumulate(excess[::-1])[::-1]
+    distinct = least_excess_behind + indices
     return np.asarray(distinct - distinct[0])
 
 
-def _seconds_per_number(numbers: np.ndarray, t: np.ndarray, period: float) -> float:
-    """Fit the period [s]: a line, then again without the later half."""
+def _fit_period(numbers: np.ndarray, t: np.ndarray, period: float) -> float:
+    """Fit the period [s] by a line, then again without the later half of the frames.
+
+    Fewer than two periods, or too few quick frames, leave it as it was before.
+    """
     if numbers[-1] <= 1:
         return period
-    slope, start = map(float, np.polyfit(numbers, t, 1))
-    late = t - slope * numbers - start
+    fitted_period, start = map(float, np.polyfit(numbers, t, 1))
+    late = t - fitted_period * numbers - start
     is_quick = late <= np.median(late)
     if len(np.unique(numbers[is_quick])) <= 2:
-        return slope
+        return fitted_period
     return float(np.polyfit(numbers[is_quick], t[is_quick], 1)[0])

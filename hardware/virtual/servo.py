@@ -49,24 +49,32 @@ class VirtualServo:
         angles : (K, J)
             Angles turned since the start [rad].
         """
-        fine = np.arange(t[0], t[-1] + self.step / 2, self.step)
+        times = np.arange(t[0], t[-1] + self.step / 2, self.step)
         # a command acts from its very tick on, whatever the rounding
-        command = np.searchsorted(t, fine + 1e-9, side="right") - 1
-        held = speeds[np.clip(command, 0, len(t) - 1)]
+        command = np.searchsorted(t, times + 1e-9, side="right") - 1
+        held = speeds[np.clip(command, 0, len(t) - 1)]  # (K, J)
         error = self.repeatability * rng.standard_normal(speeds.shape[1])
-        velocity = held * (1 + error)
+        velocity = self._low_pass(self._low_pass(held * (1 + error)))
 
-        # two equal poles p: -3 dB of 1 / (s / p + 1)^2 is at p sqrt(sqrt(2) - 1)
-        pole_rate = -2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)
-        pole = np.exp(pole_rate * self.step)
-        for _ in range(2):
-            # y_k = (1 - p) x_k + p y_{k-1}; SciPy's filter takes half a second to load
-            velocity = (1 - pole) * velocity
-            for k in range(1, len(velocity)):
-                velocity[k] += pole * velocity[k - 1]
-        turned = np.zeros(velocity.shape)
-        turned[1:] = np.cumsum(velocity[:-1], axis=0) * self.step
-        return fine, turned
+        angles = np.zeros(velocity.shape)
+        angles[1:] = np.cumsum(velocity[:-1], axis=0) * self.step
+        return times, angles
+
+    def _low_pass(self, signal: np.ndarray) -> np.ndarray:
+        """Filter a signal (K, J) by one of the loop's two equal poles.
+
+        The loop is 1 / (s / p + 1)^2, whose gain has fallen by 3 dB at the angular
+        frequency p sqrt(sqrt(2) - 1). In steps h, each pole a = exp(-p h) gives
+
+            y_k = (1 - a) x_k + a y_{k-1}.
+        """
+        corner = 2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)  # p [rad/s]
+        pole = np.exp(-corner * self.step)
+        filtered = (1 - pole) * signal
+        # in Python, as SciPy's filter takes half a second to load
+        for k in range(1, len(filtered)):
+            filtered[k] += pole * filtered[k - 1]
+        return filtered
 
     def encoder_reading(self, angles: np.ndarray) -> np.ndarray:
         """Round angles of any shape [rad] to whole counts of the encoder."""
