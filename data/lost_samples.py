@@ -24,6 +24,7 @@ MIN_HELD_REPEATS = 4
 # a fixed position lies so far from the track, relative to its extent, and recurs
 MIN_AWAY_EXTENT = 0.1
 MIN_RECURRENCES = 3
+MAX_FIXED_POSITIONS = 3  # the most frequent ones, which are looked at
 MIN_AWAY_SHARE = 0.8  # of the times at which it was written
 # a joint, or the hand, jumps to zero by so many usual steps [rad] or [m]
 MIN_ZERO_JUMP = 0.05
@@ -112,8 +113,10 @@ def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
     is_held_long = np.zeros(len(xy), dtype=bool)
     for first, last in find_runs(is_repeated):
         if _jumps_when_seen_again(xy, first, last, limit):
-            is_held[first : last + 1] = True
-            is_held_long[first : last + 1] = last - first + 1 >= MIN_HELD_REPEATS
+            run = slice(first, last + 1)
+            is_held[run] = True
+            is_held_long[run] = last - first + 1 >= MIN_HELD_REPEATS
+    # few short repetitions are those of noise
     return is_held if is_held.mean() > MIN_HELD_SHARE else is_held_long
 
 
@@ -145,33 +148,35 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     place : str
         The position, such as `(0, 0)`.
     """
-    nothing = np.zeros(len(xy), dtype=bool)
+    nothing = np.zeros(len(xy), dtype=bool), ""
     if len(xy) < MIN_TRACK_SAMPLES:
-        return nothing, ""
+        return nothing
+    limit = MIN_AWAY_EXTENT * track_extent(xy)
+    if limit == 0:
+        return nothing
+
+    # positions (P, 2) that recur, the most frequent first, and (0, 0)
     positions, number, counts = np.unique(
         xy, axis=0, return_inverse=True, return_counts=True
     )
-    number = number.reshape(-1)
     is_zero = (positions == 0).all(axis=1)
-    candidates = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
-    limit = MIN_AWAY_EXTENT * track_extent(xy)
-    if limit == 0:
-        return nothing, ""
-    # the most frequent one first; a tracker writes one position for what it lost
-    for candidate in candidates[np.argsort(-counts[candidates])][:3]:
-        mask = number == candidate
-        if mask.all():
-            continue
+    recurring = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
+    by_frequency = recurring[np.argsort(-counts[recurring])]
+
+    # a tracker writes one position for what it lost
+    for candidate in by_frequency[:MAX_FIXED_POSITIONS]:
+        mask = number.reshape(-1) == candidate
         visits = find_runs(mask)
         must_return = not is_zero[candidate]
-        away = 0
+        if mask.all() or (must_return and len(visits) < MIN_RECURRENCES):
+            continue
+        away_count = 0
         for first, last in visits:
-            away += _is_away(xy, first, last, limit, must_return)
-        recurs = len(visits) >= MIN_RECURRENCES or is_zero[candidate]
-        if recurs and away >= MIN_AWAY_SHARE * len(visits):
+            away_count += _is_away(xy, first, last, limit, must_return)
+        if away_count >= MIN_AWAY_SHARE * len(visits):
             x, y = positions[candidate]
             return mask, f"({x:.4g}, {y:.4g})"
-    return nothing, ""
+    return nothing
 
 
 def zero_row_mask(values: np.ndarray) -> np.ndarray:
@@ -193,13 +198,13 @@ def zero_row_mask(values: np.ndarray) -> np.ndarray:
     if not is_zero.any() or is_zero.all():
         return mask
     steps = np.abs(np.diff(values, axis=0)).max(axis=1)
-    inner = steps[~is_zero[1:] & ~is_zero[:-1]]
-    usual = float(np.median(inner)) if len(inner) else 0.0
-    limit = max(MIN_ZERO_JUMP, ZERO_JUMP_RATIO * usual)
+    measured_steps = steps[~is_zero[1:] & ~is_zero[:-1]]
+    usual_step = float(np.median(measured_steps)) if len(measured_steps) else 0.0
+    limit = max(MIN_ZERO_JUMP, ZERO_JUMP_RATIO * usual_step)
     for first, last in find_runs(is_zero):
-        before = steps[first - 1] if first > 0 else np.inf
-        after = steps[last] if last < len(steps) else np.inf
-        mask[first : last + 1] = min(before, after) > limit
+        step_to = steps[first - 1] if first > 0 else np.inf
+        step_from = steps[last] if last < len(steps) else np.inf
+        mask[first : last + 1] = min(step_to, step_from) > limit
     return mask
 
 

@@ -48,38 +48,46 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     if len(t) < 2:
         return float("nan")
     interval = max(float(np.median(np.diff(t))), 1e-9)
-    size = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)
-    if len(t) < MIN_WINDOWS + size:
+    frames_per_window = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)
+    if len(t) < MIN_WINDOWS + frames_per_window:
         return float("nan")
 
-    # accelerations in windows of `size` frames; none with lost frames, over which a
-    # parabola says nothing of a moment
-    times = sliding_window_view(t, size)
-    is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * (size - 1) * interval
+    # windows without lost frames, over which a parabola says nothing of a moment
+    times = sliding_window_view(t, frames_per_window)
+    usual_duration = (frames_per_window - 1) * interval
+    is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * usual_duration
     if is_whole.sum() < MIN_WINDOWS:
         return float("nan")
-    middle = np.flatnonzero(is_whole) + size // 2
-    times = times[is_whole] - t[middle, None]
-    places = sliding_window_view(tip, size, axis=0)[is_whole]  # (N, 2, size)
-    acceleration = _parabola_accelerations(times, places)
 
-    # their components across the string, and those of a gravity of 1, (N,)
+    # acceleration in the middle of N windows of W frames
+    middle = np.flatnonzero(is_whole) + frames_per_window // 2
+    times = times[is_whole] - t[middle, None]  # (N, W)
+    places = sliding_window_view(tip, frames_per_window, axis=0)[is_whole]  # (N, 2, W)
+    acceleration = _parabola_accelerations(times, places)  # (N, 2)
+
+    # components across the string, measured and by a gravity of 1, (N,)
     across = turn_left(direction[middle])
     measured = (acceleration * across).sum(axis=1)
     expected = -across[:, 1]
-
-    # regression through the origin
-    mean_square = float(np.mean(expected**2))
-    if mean_square <= MIN_SINE**2:
+    if np.mean(expected**2) <= MIN_SINE**2:
         return float("nan")
-    gravity = float(np.mean(measured * expected) / mean_square)
-    variance = float(np.mean((measured - gravity * expected) ** 2))
-    # windows overlap: only every size-th is independent
-    independent = max(len(middle) / size, 1.0)
-    error = float(np.sqrt(variance / mean_square / independent))
-    if NORMAL_95 * error > max(abs(gravity), GRAVITY_M_S2):
+
+    # windows overlap: only every W-th is independent
+    independent_count = max(len(middle) / frames_per_window, 1.0)
+    gravity, sigma = _fit_through_origin(expected, measured, independent_count)
+    if NORMAL_95 * sigma > max(abs(gravity), GRAVITY_M_S2):
         return float("nan")
     return gravity
+
+
+def _fit_through_origin(
+    x: np.ndarray, y: np.ndarray, independent_count: float
+) -> tuple[float, float]:
+    """Fit the slope of y = slope x by least squares; return it and its sigma."""
+    mean_square = float(np.mean(x**2))
+    slope = float(np.mean(y * x) / mean_square)
+    variance = float(np.mean((y - slope * x) ** 2))
+    return slope, float(np.sqrt(variance / mean_square / independent_count))
 
 
 def _tip_track(trial: CheckedTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -89,17 +97,22 @@ def _tip_track(trial: CheckedTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     last = points[points["s"] > TIP_FROM * end].groupby("t").tail(1)
     t, tip = drop_spikes(last["t"].to_numpy(), last[["x", "y"]].to_numpy())
     inner = points[points["s"] <= DIRECTION_FROM * end].groupby("t").tail(1)
-    before = inner.set_index("t").reindex(t)[["x", "y"]]
-    chord = tip - np.where(np.isfinite(before), before, trial.hand_at(t))
+    before_tip = inner.set_index("t").reindex(t)[["x", "y"]]
+    # where no point before the tip was seen, the hand is the one before it
+    start = np.where(np.isfinite(before_tip), before_tip, trial.hand_at(t))
+    chord = tip - start
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
     return t, tip, chord / np.maximum(lengths, 1e-12)
 
 
 def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Fit parabolas to windows (N, W) of times and (N, 2, W) of places, (N, 2)."""
-    powers = np.stack([np.ones_like(times), times, times**2], axis=-1)
-    quadratic = np.linalg.pinv(powers)[:, 2]  # (N, W)
-    return np.asarray(2 * np.einsum("fw,fcw->fc", quadratic, places))
+    """Fit parabolas to windows (N, W) of times and (N, 2, W) of places, (N, 2).
+
+    The acceleration is twice the coefficient of t^2, which is a weighted sum of places.
+    """
+    powers = np.stack([np.ones_like(times), times, times**2], axis=-1)  # (N, W, 3)
+    weights = np.linalg.pinv(powers)[:, 2]  # (N, W)
+    return np.asarray(2 * np.einsum("nw,nxw->nx", weights, places))
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:
