@@ -79,10 +79,13 @@ def steps_per_tick(
     step = np.minimum(STEP_SAFETY_FACTOR * stable, string.largest_step)
     needed = tick / np.maximum(step, 1e-300)
     possible = np.isfinite(needed) & (needed <= MAX_STEPS_PER_TICK)
-    # a whole number may come out a little above itself, hence the 1e-9
-    at_least_one = np.maximum(np.where(possible, needed, 1.0), 1.0)
-    level = np.ceil(np.log(at_least_one) / np.log(STEP_SIZE_RATIO) - 1e-9)
-    return np.ceil(STEP_SIZE_RATIO**level - 1e-9).astype(int), possible
+    needed = np.maximum(np.where(possible, needed, 1.0), 1.0)
+
+    # up to the next power of the ratio, then to the next whole number; one that is
+    # reached may come out a little above itself, hence the 1e-9
+    exponent = np.ceil(np.log(needed) / np.log(STEP_SIZE_RATIO) - 1e-9)
+    steps = np.ceil(STEP_SIZE_RATIO**exponent - 1e-9).astype(int)
+    return steps, possible
 
 
 def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
@@ -93,12 +96,13 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     """
     undeclared = [e for e in string.effects if not hasattr(e, "bound")]
     plain, undeclared_material = string.with_only_effects(tuple(undeclared), material)
+    # slope of the load with the speed along x and along y, by a difference
     slow = MAX_DRAG_SPEED_M_S
     fast = slow * (1.0 + SPEED_DIFFERENCE)
     vx = np.array([[slow, fast, 0.0, 0.0]])
     vy = np.array([[0.0, 0.0, slow, fast]])
-    loads = load_sum(plain, undeclared_material, {"vx": vx, "vy": vy})
-    rises = loads[:, 1::2] - loads[:, ::2]
+    loads = load_sum(plain, undeclared_material, {"vx": vx, "vy": vy})  # (C, 4, 2)
+    rises = loads[:, 1::2] - loads[:, ::2]  # (C, 2, 2)
     steepest = np.abs(rises).max(axis=(1, 2)) / (SPEED_DIFFERENCE * slow)
     masses, cells = plain.point_masses(undeclared_material)
     return np.asarray(steepest * (cells / masses).max(axis=1))

@@ -119,20 +119,31 @@ def _draw_speeds(
     axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray
 ) -> None:
     """Draw each speed as a share of its maximum: on one clock, both rise together."""
-    hand = (seen.hand_t, seen.pose[:, :2], seen.hand_onset, "axis", "hand, arm's clock")
-    string = (t, tip, seen.string_onset, "measured", "tip, camera's clock")
-    for times, positions, onset, colour, label in (hand, string):
-        speed = step_lengths(positions) / np.maximum(np.diff(times), 1e-9)
-        fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
-        if fastest > 0:
-            middle = (times[1:] + times[:-1]) / 2
-            share = np.minimum(speed / fastest, 1.2)
-            words = f"{label}: {fastest:.1f} m/s"
-            axes.plot(middle, share, color=colour, lw=1, label=words)
-        if onset is not None:
-            axes.axvline(onset, color=colour, ls=":", lw=1)
+    hand = seen.pose[:, :2]
+    _draw_speed(axes, seen.hand_t, hand, seen.hand_onset, "hand, arm's clock", "axis")
+    _draw_speed(axes, t, tip, seen.string_onset, "tip, camera's clock", "measured")
     axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
     _add_legend(axes, 2)
+
+
+def _draw_speed(
+    axes: Axes,
+    times: np.ndarray,
+    positions: np.ndarray,
+    onset: float | None,
+    label: str,
+    colour: str,
+) -> None:
+    """Draw the speed between positions (K, 2) [m] as a share of its maximum."""
+    speed = step_lengths(positions) / np.maximum(np.diff(times), 1e-9)
+    fastest = float(np.quantile(speed, 0.99)) if len(speed) else 0.0
+    if fastest > 0:
+        middle = (times[1:] + times[:-1]) / 2
+        share = np.minimum(speed / fastest, 1.2)
+        words = f"{label}: {fastest:.1f} m/s"
+        axes.plot(middle, share, color=colour, lw=1, label=words)
+    if onset is not None:
+        axes.axvline(onset, color=colour, ls=":", lw=1)
 
 
 def _add_legend(axes: Axes, columns: int) -> None:
