@@ -17,16 +17,14 @@ class SourceRecording:
     """The content of a foreign file.
 
     file: where it was read. table: columns of numbers or texts, one row per sample;
-    empty for a film. name: of the trial, where a file holds several recordings. fps:
-    frame rate, where the file states it [1/s]. film: the video file, if it is one.
-    angle_question: why the user must state the unit of angles, where the format leaves
-    it open. notes: what the reader decided, for people.
+    empty for a film. name: of the trial, where a file holds several recordings. film:
+    the video file, if it is one. angle_question: why the user must state the unit of
+    angles, where the format leaves it open. notes: what the reader decided, for people.
     """
 
     file: Path
     table: pd.DataFrame
     name: str = ""
-    fps: float | None = None
     film: Path | None = None
     angle_question: str = ""
     notes: tuple[str, ...] = ()

@@ -64,8 +64,6 @@ class ImportedTables:
         Every column that is used.
     unused_columns
         Unused columns by file.
-    fps
-        Frame rate of the films, where their files state it [1/s].
     notes
         What the readers decided, for people.
     zero_rows
@@ -77,7 +75,6 @@ class ImportedTables:
     films: Mapping[str, Path]
     used_columns: Sequence[UsedColumn]
     unused_columns: Mapping[Path, Sequence[str]]
-    fps: float | None = None
     notes: Sequence[str] = ()
     zero_rows: Mapping[Path, int] = field(default_factory=dict)
 
@@ -154,7 +151,6 @@ def gather_tables(
     motion = _join_parts(motion_parts, names)
     points = _join_parts(point_parts, names)
     film_of = {names[id(r)]: r.film for r in films if r.film is not None}
-    fps = next((r.fps for r in films if r.fps), None)
     used_columns, unused_columns = _list_used_columns(parts)
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
@@ -165,7 +161,6 @@ def gather_tables(
         films=film_of,
         used_columns=used_columns,
         unused_columns=unused_columns,
-        fps=fps,
         notes=notes,
         zero_rows=_count_zero_rows(parts),
     )

@@ -34,17 +34,16 @@ def read_times(reader: RecordingReader) -> np.ndarray:
                 f"{reader.recording.file}: {fault}. Give the rate of its rows, as in "
                 "--fps 200, or export times as 64-bit numbers."
             )
-    fps = reader.hints.fps or reader.recording.fps
-    if fps is None:
+    fps = reader.hints.fps
+    if not fps:
         raise DataError(
             f"{reader.recording.file}: no column holds times; there are "
             f"{list_columns(reader.recording)}. Name it with --map t=<column>, or "
             "give the camera's rate with --fps 200."
         )
     if numbers := reader.columns_of("frame"):
-        how = "--fps" if reader.hints.fps else "file"
         unit = f"frames, {fps:g} a second"
-        return reader.read_numbers(numbers[0], "t", unit, 1 / fps, how)
+        return reader.read_numbers(numbers[0], "t", unit, 1 / fps, "--fps")
     _refuse_unknown_counter(reader)
     return np.arange(len(reader.table)) / fps
 

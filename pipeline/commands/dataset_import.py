@@ -194,9 +194,8 @@ def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> Importe
 
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
     """Return the block `camera` of films; raise DataError if an option is missing."""
-    fps = bench.fps or tables.fps
     facts = {
-        "--fps 240": fps,
+        "--fps 240": bench.fps,
         "--px-per-m 340": bench.px_per_m,
         "--origin-px 251.5,387.5": bench.origin_px,
     }
@@ -208,7 +207,7 @@ def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]
         )
     height, width = Video(next(iter(tables.films.values())))[0].shape
     return {
-        "fps": fps,
+        "fps": bench.fps,
         "px_per_m": bench.px_per_m,
         "origin_px": list(bench.origin_px),
         "width": width,

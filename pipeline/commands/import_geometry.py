@@ -313,7 +313,7 @@ def rate_words(
 
     factor: by which the times of points are multiplied.
     """
-    fps = options.fps or tables.fps
+    fps = options.fps
     clocks = [column for column in tables.used_columns if column.role == "t"]
     counts_frames = any(column.unit.startswith("frames") for column in clocks)
     timed_files = {column.file for column in clocks}

@@ -159,7 +159,6 @@ class Layer:
     name: str
     colour: str
     dots: bool = False
-    shown: bool = True
     label: str = ""
 
 
