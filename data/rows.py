@@ -123,21 +123,9 @@ class RowFilter:
 
 
 def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCounts]:
-    """Drop unusable rows and sort the others by trial and time.
+    """Drop unusable rows, count them, and sort the others by trial and time.
 
-    Parameters
-    ----------
-    table
-        The schema, with the leading column `trial`.
-    frame
-        The table as it was read.
-
-    Returns
-    -------
-    frame : pandas.DataFrame
-        The usable rows.
-    counts : RowCounts
-        How many rows were read and dropped.
+    table: the schema, with the leading column `trial`.
     """
     required = [column for column in table.columns if not column.optional]
     texts = [column.name for column in required if column.kind == "text"]

@@ -43,19 +43,8 @@ def open_lab(
 ) -> Lab:
     """Open the virtual arm and camera of one trial.
 
-    Parameters
-    ----------
-    arm, camera
-        The arm and the camera.
-    seed, trial
-        Seeds of all random events.
-    specimen, servo, look, obstacles
-        The scene; see `VirtualBench`.
-
-    Returns
-    -------
-    Lab
-        The virtual arm and camera.
+    The seed and the trial's number seed all random events. The scene is that of
+    `VirtualBench`.
     """
     bench = VirtualBench(arm, camera, specimen, seed, servo, look, obstacles, trial)
     return Lab(VirtualArm(bench), VirtualCamera(bench))

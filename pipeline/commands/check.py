@@ -135,12 +135,7 @@ def argument_parser() -> argparse.ArgumentParser:
 def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
     """Return the data in a folder, with arm, camera and string as a run would have.
 
-    Parameters
-    ----------
-    folder : Path
-        Measured data, or a run.
-    overrides : sequence of str
-        Settings as on the command line.
+    overrides: settings as on the command line.
     """
     settings = settings_for_data(folder, overrides)
     arm = build_dataclass(Arm, settings["arm"], "arm", "conf/arm")

@@ -33,10 +33,7 @@ SEED = 0  # of the starts of fits
 def estimate_offset(checked: CheckedDataset) -> ClockOffset:
     """Estimate the offset of the clocks of a dataset, with a bar on the terminal.
 
-    Raises
-    ------
-    DataError
-        If nothing moves in a trial.
+    Raises DataError if nothing moves in a trial.
     """
     model = plain_model(checked)
     observations = [trial.observation for trial in checked.with_points()]

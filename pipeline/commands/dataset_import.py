@@ -168,10 +168,7 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
 def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> ImportedTables:
     """Return tables without the points of trials that were seen in a frame or two.
 
-    Raises
-    ------
-    DataError
-        If no other trial is left.
+    Raises DataError if no other trial is left.
     """
     if tables.points.empty:
         return tables

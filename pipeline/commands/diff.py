@@ -101,12 +101,7 @@ def describe_outcome(results: Mapping[str, Any]) -> str:
 def run_facts(run: Path) -> dict[str, dict[str, Any]]:
     """Return settings, data, code, packages and results of a run, for `diff`.
 
-    Raises
-    ------
-    UserError
-        If there is no run.
-    DataError
-        If the run has made nothing.
+    Raises UserError if there is no run, and DataError if it has made nothing.
     """
     settings = read_stored_settings(run)
     origins = []

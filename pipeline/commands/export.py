@@ -75,10 +75,7 @@ def main(arguments: list[str]) -> int:
 def write_mjcf(options: argparse.Namespace) -> None:
     """Write the string as MJCF and a script that plays it; compare it if asked to.
 
-    Raises
-    ------
-    UserError
-        Unless mass and step are sensible.
+    Raises UserError unless mass and step are sensible.
     """
     string = KnownString.from_run(options.run)
     model = experiment_for_call((), string).model
@@ -139,10 +136,7 @@ def compare_with_trials(
 def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedTrial]]:
     """Return the model of a string in the trials that a run made or was given.
 
-    Raises
-    ------
-    UserError
-        If the run names no trials.
+    Raises UserError if the run names no trials.
     """
     settings = read_stored_settings(run)
     given = settings.get("trials")
@@ -162,10 +156,7 @@ def write_parameters(options: argparse.Namespace) -> None:
 def write_samples(options: argparse.Namespace) -> None:
     """Write the draws of the run's last estimation for ArviZ.
 
-    Raises
-    ------
-    UserError
-        If the run has none.
+    Raises UserError if the run has none.
     """
     stored = sorted(options.run.glob("iterations/*/estimate/draws.parquet"))
     draws = pd.read_parquet(stored[-1]) if stored else pd.DataFrame()
@@ -186,10 +177,7 @@ def write_samples(options: argparse.Namespace) -> None:
 def write_trajectory(options: argparse.Namespace) -> None:
     """Write the commands of the run's last motion for ROS 2.
 
-    Raises
-    ------
-    UserError
-        If the run has no motion, or the joints are not three.
+    Raises UserError if the run has no motion, or the joints are not three.
     """
     stored = sorted(options.run.glob("iterations/*/motion/commands.parquet"))
     if not stored:

@@ -83,10 +83,7 @@ def main(arguments: list[str]) -> int:
 def list_runs(folder: Path) -> pd.DataFrame:
     """Return table RUNS of all runs in a folder, however deep.
 
-    Raises
-    ------
-    UserError
-        If there is no such folder.
+    Raises UserError if there is no such folder.
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")

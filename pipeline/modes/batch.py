@@ -103,10 +103,7 @@ class Batch(Stepwise):
     ) -> tuple[History, TrialSet]:
         """Return the history and the trials: the stored ones, or one performed now.
 
-        Raises
-        ------
-        DataError
-            If they cannot be used.
+        Raises DataError if they cannot be used.
         """
         graph = self.graph(experiment.config)
         if experiment.config["trials"] is None:

@@ -40,15 +40,7 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 def refuse_unlike_clocks(
     experiment: Experiment, folder: Path, observations: Sequence[Observation]
 ) -> None:
-    """Refuse a dataset whose clocks are certainly not together.
-
-    A run, or a model with a clock offset, needs no test: the offset is known.
-
-    Raises
-    ------
-    DataError
-        With the offset that the motion shows.
-    """
+    """Raise DataError for a dataset whose clocks are certainly not together."""
     if is_run_folder(folder) or TimeOffset in experiment.model.effects:
         return
     # takes seconds to import

@@ -102,16 +102,9 @@ def choose_typical_runs(runs: pd.DataFrame) -> pd.DataFrame:
 def cast_tables(
     folder: Path, runs: pd.DataFrame, casts: pd.DataFrame
 ) -> dict[str, pd.DataFrame]:
-    """Return CAST_TABLES by name.
+    """Return CAST_TABLES of a study by name.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the study.
-    runs : DataFrame
-        Runs that are drawn, from `choose_typical_runs`.
-    casts : DataFrame
-        Table CASTS of `scores`.
+    runs: those that are drawn, from `choose_typical_runs`. casts: table CASTS.
     """
     parts: dict[str, list[pd.DataFrame]] = {table.name: [] for table in CAST_TABLES}
     for run in runs.itertuples():

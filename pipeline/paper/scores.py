@@ -144,13 +144,7 @@ def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:
 
 
 def add_pooled_experiment(runs: pd.DataFrame) -> pd.DataFrame:
-    """Append the runs of three strings and three targets as one experiment.
-
-    Parameters
-    ----------
-    runs : DataFrame
-        Table RUNS.
-    """
+    """Append the runs of three strings and three targets as one experiment to RUNS."""
     pooled = runs[runs["condition"].isin(POOLED_EXPERIMENTS)]
     return pd.concat([runs, pooled.assign(condition=POOL_NAME)], ignore_index=True)
 

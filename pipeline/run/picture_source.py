@@ -24,12 +24,7 @@ def use_given_source(settings: Settings, given: set[str]) -> Settings:
 def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
     """Raise UserError for a source of pictures that is not used or does not exist.
 
-    Parameters
-    ----------
-    settings : mapping
-        All settings of the run.
-    given : set of str
-        Names of settings on the command line.
+    given: names of settings on the command line.
     """
     mode: Mode = build_chosen(settings["mode"], "mode", "conf/mode")
     used_sources = mode.picture_sources(settings)

@@ -58,18 +58,9 @@ HASHED_KINDS = ("input ", CODE_NAME)  # their values are hashes, which are not s
 def step_origin(
     config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the origin of a step: all that is needed to make it again.
+    """Return the origin of a stage's step: all that is needed to make it again.
 
-    Parameters
-    ----------
-    config : mapping
-        All settings of the run.
-    step : str
-        Name of the stage.
-    seed : int
-        Seed of the step.
-    inputs : mapping
-        Content hashes by path.
+    config: all settings of the run. inputs: content hashes by path.
     """
     origin = {
         "step": step,
@@ -166,16 +157,7 @@ def load_step_with_staleness(
 ) -> StoredStep:
     """Load a step from a run's folder, with all that has changed since it was made.
 
-    Parameters
-    ----------
-    config : mapping
-        All settings of the run.
-    folder : Path
-        Folder of the run.
-    step : Step
-        The step to look for.
-    hash_of : callable
-        Returns the content hash of a folder.
+    config: all settings of the run. hash_of: returns the content hash of a folder.
     """
     step_folder = folder / step.folder
     if not step_folder.is_dir():
@@ -287,12 +269,7 @@ def origin_changes(
 ) -> Iterator[str]:
     """Yield the differences of two origins, a line each, without the hashes.
 
-    Parameters
-    ----------
-    stored, current : mapping
-        Origins of a step.
-    uses : sequence of str
-        Settings that count.
+    uses: the settings that count.
     """
     as_stored = json.loads(json.dumps(current))  # JSON has no tuples
     before_and_after = decisive_values(stored, uses), decisive_values(as_stored, uses)

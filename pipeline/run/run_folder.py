@@ -311,18 +311,9 @@ def publish_dataset(
     folder: Path,
     iterations: list[Iteration],
 ) -> None:
-    """Write the trials of a run to a folder as a dataset.
+    """Write the trials of a run's iterations to a folder as a dataset.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        What the run works with.
-    hashes : mapping
-        Content hashes by path, of `trial_hashes`.
-    folder : Path
-        Where the dataset is written.
-    iterations : list of Iteration
-        Iterations with a trial and its points.
+    hashes: content hashes by path, of `trial_hashes`.
     """
     trials = {}
     trial_folders = {}

@@ -89,12 +89,7 @@ def annotate_settings(text: str) -> Iterator[str]:
 def named_lines(text: str, block: str = "") -> Iterator[tuple[str, str, str]]:
     """Yield each line of YAML with the full name and comment of its setting, if any.
 
-    Parameters
-    ----------
-    text : str
-        Settings as YAML.
-    block : str
-        Name of the block around them.
+    block: name of the block around them.
     """
     # indent and name of each block around the line
     parents = [(-1, block)] if block else []

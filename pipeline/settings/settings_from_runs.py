@@ -242,13 +242,7 @@ def read_extended_model(folder: Path) -> dict[str, Any]:
 
 
 def read_measured_camera(folder: Path) -> dict[str, Any]:
-    """Read the camera that a calibration measured, as settings.
-
-    Parameters
-    ----------
-    folder : Path
-        The run's folder, or the file itself.
-    """
+    """Read the camera that a calibration measured, as settings, from its run."""
     remedy = "Name the run folder of a good calibration."
     return read_run_settings(folder, CAMERA, "camera_from", remedy)
 

@@ -78,10 +78,7 @@ class LedgerLauncher:
     ) -> None:
         """Take what Hydra passes before `launch`, and check the settings.
 
-        Raises
-        ------
-        UserError
-            For a setting with a wrong value.
+        Raises UserError for a setting with a wrong value.
         """
         self.loader = hydra_context.config_loader
         self.config = config

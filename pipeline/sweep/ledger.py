@@ -74,10 +74,7 @@ class Ledger:
     def jobs(self) -> list[Job]:
         """Return all jobs in the order of their numbers.
 
-        Raises
-        ------
-        DataError
-            With the name of a damaged file.
+        Raises DataError with the name of a damaged file.
         """
         files = (self.folder / "ledger").glob("*.json")
         jobs = [self.read(file.stem) for file in files]
@@ -133,10 +130,7 @@ class Ledger:
     def reset_unfinished(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:
         """Mark jobs as pending that never ended, or ended in one of some states.
 
-        Returns
-        -------
-        list of str
-            Keys of all pending jobs among `keys`.
+        Returns the keys of all pending jobs among `keys`.
         """
         old_states = (RUNNING_STATE, *states)
         pending = []

@@ -29,18 +29,7 @@ RANGE_EDGE = 1e-3  # of a parameter's range: nearer to its end, the parameter is
 
 
 def refuse_sight(problem: AlignmentProblem) -> None:
-    """Refuse trials in which the arm is hardly seen, hardly moves, or has other units.
-
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-
-    Raises
-    ------
-    DataError
-        With the reason.
-    """
+    """Raise DataError if the arm is hardly seen, hardly moves, or has other units."""
     frames = sum(np.unique(trial.sightings.frame).size for trial in problem.trials)
     if frames < MIN_FRAMES:
         raise DataError(
@@ -75,20 +64,7 @@ def _span(points: np.ndarray) -> float:
 
 
 def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
-    """Refuse a fit at the end of a range, with misfit, or too imprecise.
-
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-
-    Raises
-    ------
-    DataError
-        With the reason.
-    """
+    """Raise DataError for a fit at a range's end, with misfit, or too imprecise."""
     low, high = problem.ranges(fit.names)
     edge = RANGE_EDGE * (high - low)
     is_at_end = (fit.x > high - edge) | ((low < 0) & (fit.x < low + edge))
@@ -110,19 +86,9 @@ def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
 
 
 def refuse_misfit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
-    """Refuse residuals far beyond the noise, or beyond it with a pattern.
+    """Raise DataError for residuals far beyond the noise, or beyond it with a pattern.
 
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-
-    Raises
-    ------
-    DataError
-        With the likeliest cause.
+    The message names the likeliest cause.
     """
     misfit = robust_sigma(fit.residual)
     if misfit < MAX_STRUCTURED_MISFIT:

@@ -47,20 +47,7 @@ EffectRanges = dict[str, tuple[float, float, float]]  # value, low, high by name
 
 
 def run(call: StageCall, trials: TrialSet) -> Alignment:
-    """Align camera and arm, as a stage.
-
-    Parameters
-    ----------
-    call
-        Model, progress and the configured function.
-    trials
-        The trials with their films.
-
-    Returns
-    -------
-    Alignment
-        The alignment from all trials together.
-    """
+    """Align camera and arm by all trials together, as a stage."""
     alignment: Alignment = call.by(
         call.setup.model, trials.observations, trials.films, progress=call.progress
     )

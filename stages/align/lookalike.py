@@ -20,17 +20,7 @@ PROFILE_OFFSETS = np.linspace(-4, 4, 17)  # in standard deviations
 def likelihood_profile(problem: AlignmentProblem, fit: AlignmentFit) -> pd.DataFrame:
     """Return the deviance over the clock offset, with and without a lag.
 
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-
-    Returns
-    -------
-    DataFrame
-        Table LIKELIHOOD.
+    It is table LIKELIHOOD of the selected fit.
     """
     if "arm_lag" in fit.effects:
         rows = _profile_with_lag(problem, fit)

@@ -53,20 +53,10 @@ CHECKS: tuple[Check, ...] = (
 
 
 def collect_findings(dataset: CheckedDataset) -> list[Finding]:
-    """Return the findings of all checks of a dataset.
+    """Return the findings of all checks of a dataset, the worst first.
 
     Findings of the same place with the same remedy become one, with the statement of
     the first and all their trials.
-
-    Parameters
-    ----------
-    dataset
-        The data with arm, camera and length.
-
-    Returns
-    -------
-    list of Finding
-        The worst first.
     """
     return [*_find_all(dataset)]
 
@@ -86,18 +76,7 @@ def _find_all(dataset: CheckedDataset) -> tuple[Finding, ...]:
 
 
 def refuse_errors(dataset: CheckedDataset) -> None:
-    """Refuse data with errors.
-
-    Parameters
-    ----------
-    dataset
-        The data with arm, camera and length.
-
-    Raises
-    ------
-    DataError
-        If a check found an error.
-    """
+    """Raise DataError if a check of a dataset finds an error."""
     findings = collect_findings(dataset)
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     if errors:

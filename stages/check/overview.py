@@ -101,16 +101,8 @@ def detection_limit_text(limit: Mapping[str, Any]) -> str:
 def dataset_overview(dataset: CheckedDataset) -> dict[str, Any]:
     """Return all that is known about the data, as JSON.
 
-    Parameters
-    ----------
-    dataset
-        The data with arm, camera and length.
-
-    Returns
-    -------
-    dict
-        `usable` says whether an experiment would run on the data; `trials`, `rejected`
-        and `findings` say why.
+    `usable` says whether an experiment would run on the data; `trials`, `rejected` and
+    `findings` say why.
     """
     findings = collect_findings(dataset)
     has_errors = any(finding.severity is Severity.ERROR for finding in findings)

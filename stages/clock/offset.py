@@ -306,14 +306,9 @@ def refuse_wrong_clock(
     observations: Sequence[Observation],
     rng: np.random.Generator,
 ) -> None:
-    """Refuse trials whose clocks are certainly not together.
+    """Raise DataError for trials whose clocks are certainly not together.
 
-    Parameters are those of `estimate_clock_offset`.
-
-    Raises
-    ------
-    DataError
-        With the offset that the motion shows.
+    The message states the offset that the motion shows.
     """
     clock = find_wrong_clock(model, observations, rng)
     if clock is not None:

@@ -277,14 +277,9 @@ class DiagnosisRecord:
 
 
 def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
-    """Return the distances [m] of measured points from a model, shape (n,).
+    """Return the distances (n,) [m] of measured points of table RESIDUALS from a model.
 
-    Parameters
-    ----------
-    table : DataFrame
-        Table RESIDUALS.
-    model : str
-        base or extended.
+    model: base or extended.
     """
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
     distances: np.ndarray = np.hypot(x, y).to_numpy()

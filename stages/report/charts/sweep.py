@@ -30,17 +30,9 @@ def setting_label(factor: str, units: Mapping[str, str]) -> str:
 def outcome_curve(
     jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str, str]
 ) -> Picture | None:
-    """Draw an outcome over a setting; None if no job knows it.
+    """Draw an outcome of finished jobs over a setting; None if no job knows it.
 
-    Parameters
-    ----------
-    jobs : DataFrame
-        Finished jobs.
-    outcome : Outcome
-    factor : str
-        Column of the setting.
-    units : mapping
-        Units of settings.
+    factor: the column of the setting. units: of settings, by column.
     """
     means = mean_response(jobs, outcome, [factor])
     if means.empty:
