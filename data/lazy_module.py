@@ -25,10 +25,7 @@ class MissingPackageError(ExpectedError):
 def import_optional(module: str) -> ModuleType:
     """Import a library of an extra.
 
-    Raises
-    ------
-    MissingPackageError
-        If it is not installed; the message names the extra.
+    Raises MissingPackageError if it is not installed; the message names the extra.
     """
     try:
         return import_module(module)

@@ -35,11 +35,8 @@ class PluginError(ExpectedError, ValueError):
 def plugin_folders() -> dict[str, Path]:
     """Return the folders of the plugins that this person named, by their names.
 
-    Raises
-    ------
-    PluginError
-        For a folder that does not exist or has no name of a package, and for two
-        folders of one name.
+    Raises PluginError for a folder that does not exist or has no name of a package, and
+    for two folders of one name.
     """
     folders: dict[str, Path] = {}
     for text in filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(os.pathsep)):
@@ -169,10 +166,7 @@ def suggest_name(name: str, known: Sequence[str]) -> str:
 def import_plugin_module(name: str) -> ModuleType:
     """Import a module of a plugin, such as `plugins.my_lab.effects.side_pull`.
 
-    Raises
-    ------
-    PluginError
-        With the module's own error.
+    Raises PluginError with the module's own error.
     """
     full_name = f"stringcast.{name}"
     try:

@@ -132,10 +132,7 @@ class ImportedDataset:
 def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDataset:
     """Return the dataset that recordings make.
 
-    Raises
-    ------
-    DataError
-        If an option is needed, which the message names.
+    Raises DataError if an option is needed, which the message names.
     """
     notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
@@ -352,10 +349,7 @@ def align_roughly(
 
     It is the middle of what is possible whatever the string is.
 
-    Raises
-    ------
-    DataError
-        If nothing moves, or the string was seen too seldom.
+    Raises DataError if nothing moves, or the string was seen too seldom.
     """
     hands = dict(list(grasp.groupby("trial")))
     trials = []

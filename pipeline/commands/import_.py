@@ -124,14 +124,8 @@ def overview_of_refusal(
 def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, Any]:
     """Read, show and write; return the overview of what was written.
 
-    Raises
-    ------
-    NotUsableError
-        If the data are not usable, with their overview.
-    DataError
-        If the files cannot be read, or leave a question open.
-    UserError
-        If an option is wrong.
+    Raises NotUsableError, with their overview, if the data are not usable; DataError if
+    the files cannot be read, or leave a question open; UserError for a wrong option.
     """
     folder: Path = options.to
     if folder.exists():
@@ -274,10 +268,7 @@ def confirm_change(
 ) -> None:
     """Apply a change to the options, after a yes if somebody can be asked.
 
-    Raises
-    ------
-    DataError
-        If a person must confirm it, and nobody can be asked.
+    Raises DataError if a person must confirm it, and nobody can be asked.
     """
     option = " ".join(change.words)
     can_ask = sys.stdin.isatty() and not (options.yes or options.json)

@@ -71,10 +71,7 @@ def propose_geometry(
     None also stands for files that nothing makes consistent: the checks of the dataset
     report them, with a drawing.
 
-    Raises
-    ------
-    DataError
-        If several corrections fit, or one that no option performs.
+    Raises DataError if several corrections fit, or one that no option performs.
     """
     measured = measurements_of_tables(tables, bench)
     if measured is None:

@@ -235,10 +235,7 @@ def parse_length_pair(text: str) -> tuple[float, float]:
 def read_column_hints(options: argparse.Namespace) -> ColumnHints:
     """Return what the options say about columns.
 
-    Raises
-    ------
-    UserError
-        If a unit, plane or clock is none.
+    Raises UserError if a unit, plane or clock is none.
     """
     units = {}
     for text in options.unit:

@@ -68,10 +68,7 @@ def read_stored_settings(folder: Path) -> dict[str, Any]:
 def read_stored_experiment(folder: Path) -> Experiment:
     """Return the experiment of a stored run.
 
-    Raises
-    ------
-    UserError
-        If there is no run, or one of another version of this code.
+    Raises UserError if there is no run, or one of another version of this code.
     """
     path = folder / "config.json"
     try:

@@ -46,10 +46,7 @@ class Calibrate(Mode):
     ) -> RunResult:
         """Calibrate and write the page, then refuse an unusable calibration.
 
-        Raises
-        ------
-        UserError
-            If the calibration cannot be used.
+        Raises UserError if the calibration cannot be used.
         """
         stage = stages()["calibrate"]
         config = experiment.config

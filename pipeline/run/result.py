@@ -126,10 +126,7 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
 def read_summary(folder: Path) -> dict[str, Any]:
     """Read run.json of a run's folder; empty for a run that has not ended.
 
-    Raises
-    ------
-    DataError
-        If it is damaged or has another shape: others may have written it.
+    Raises DataError if it is damaged or has another shape: others may have written it.
     """
     path = folder / SUMMARY_FILE
     summary = read_json(path) if path.is_file() else {}

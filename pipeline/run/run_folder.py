@@ -97,12 +97,8 @@ class RunFolder:
     def obtain(self, step: Step) -> Any:
         """Return a step's artifact: the stored one if it is fresh, else a new one.
 
-        Raises
-        ------
-        DataError
-            For a damaged artifact that cannot be made again.
-        KeyboardInterrupt
-            After a step that was interrupted.
+        Raises DataError for a damaged artifact that cannot be made again, and
+        KeyboardInterrupt after a step that was interrupted.
         """
         if self.interrupted:
             raise KeyboardInterrupt
@@ -184,10 +180,7 @@ def exclusive_access(folder: Path) -> Iterator[None]:
     A folder in which a failed run made nothing is removed again, unless something was
     in it before.
 
-    Raises
-    ------
-    DataError
-        If the folder holds a link, is in use, or cannot be written.
+    Raises DataError if the folder holds a link, is in use, or cannot be written.
     """
     refuse_links(folder)
     with ExitStack() as stack:

@@ -40,10 +40,7 @@ def compose_settings(overrides: Sequence[str] = ()) -> Any:
 def conf_folders() -> tuple[Path, ...]:
     """Return the folders of settings: that of the package and those of plugins.
 
-    Raises
-    ------
-    PluginError
-        For a file that would be hidden by one of the same name.
+    Raises PluginError for a file that would be hidden by one of the same name.
     """
     folders = [CONF_FOLDER]
     for plugin in plugin_folders().values():

@@ -38,10 +38,8 @@ UNNAMED_PLUGIN = "which you have not named"  # of messages
 def name_plugins(overrides: Sequence[str]) -> None:
     """Name the plugins of a command line, for this process and those it starts.
 
-    Raises
-    ------
-    UserError, PluginError
-        For a value that is no list of folders, and for folders that cannot be used.
+    Raises UserError or PluginError for a value that is no list of folders, and for
+    folders that cannot be used.
     """
     start = f"{PLUGINS_SETTING}="
     words = [word for word in overrides if word.lstrip("+").startswith(start)]
@@ -137,10 +135,8 @@ def stored_plugins(settings: Settings, where: str) -> Iterator[None]:
 def import_plugins() -> None:
     """Import what the plugins hold, so that nothing runs where something is wrong.
 
-    Raises
-    ------
-    PluginError
-        For a module that cannot be imported, and a name that is not there.
+    Raises PluginError for a module that cannot be imported, and a name that is not
+    there.
     """
     if not plugin_folders():
         return

@@ -28,10 +28,8 @@ STAGES_FOLDER = Path(package.__path__[0])
 def stages() -> dict[str, StageSpec]:
     """Return all stages by name.
 
-    Raises
-    ------
-    PluginError
-        For a plugin's stage that cannot be used, or has the name of another.
+    Raises PluginError for a plugin's stage that cannot be used, or has the name of
+    another.
     """
     return _load_stages(tuple(plugin_folders().values()))
 

@@ -185,10 +185,7 @@ def open_for_lock(path: Path) -> BinaryIO:
 def try_lock(file: BinaryIO, path: Path) -> bool:
     """Lock an open file, and return False if another process has locked it.
 
-    Raises
-    ------
-    DataError
-        If the system or the file system cannot lock files.
+    Raises DataError if the system or the file system cannot lock files.
     """
     if os.name != "posix":
         raise DataError(

@@ -40,10 +40,7 @@ def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFram
 
     Each given setting and each estimated parameter is a column of its own.
 
-    Raises
-    ------
-    DataError
-        If the parameters of a job cannot be read.
+    Raises DataError if the parameters of a job cannot be read.
     """
     frame = pd.DataFrame([job_row(ledger, job) for job in jobs])
     setting_kinds = {"i": "int", "f": "float"}  # by NumPy's kind; text for others

@@ -85,10 +85,7 @@ def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:
 
     They are the same for all trials if one window allows all.
 
-    Raises
-    ------
-    DataError
-        If nothing moves.
+    Raises DataError if nothing moves.
     """
     windows = {}
     for trial in trials:

@@ -120,10 +120,7 @@ class HandMotion:
     ) -> HandMotion:
         """Apply effects on the grasp, one motion for all candidates or one each.
 
-        Raises
-        ------
-        DataError
-            If an effect needs joint angles.
+        Raises DataError if an effect needs joint angles.
         """
         motion = self
         for effect, parameters in effects:

@@ -26,11 +26,8 @@ def effects_by_name() -> dict[str, type[Effect]]:
 
     Those of `stages/model/effects` and of the folders `effects` of plugins.
 
-    Raises
-    ------
-    PluginError
-        For a file that does not hold exactly one effect of its own name, and for two
-        effects of the same name.
+    Raises PluginError for a file that does not hold exactly one effect of its own name,
+    and for two effects of the same name.
     """
     modules = plugin_files(PLUGIN_EFFECTS)
     effects = {}
@@ -42,10 +39,7 @@ def effects_by_name() -> dict[str, type[Effect]]:
 def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
     """Find effects by name; `maxwell_slip_2` is a second one of its kind.
 
-    Raises
-    ------
-    UnknownEffectError
-        If there is none of that name, or there are too many.
+    Raises UnknownEffectError if there is none of that name, or there are too many.
     """
     if len(names) > MAX_EFFECTS:
         raise UnknownEffectError(
@@ -63,10 +57,7 @@ def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
 def check_effect_names(names: Sequence[str]) -> Sequence[str]:
     """Return names of effects as they are.
 
-    Raises
-    ------
-    UnknownEffectError
-        If there is no effect of a name.
+    Raises UnknownEffectError if there is no effect of a name.
     """
     find_effects(names)
     return names
@@ -77,10 +68,7 @@ def split_effect_name(name: str) -> tuple[str, int]:
 
     The kind is the name of the effect's file.
 
-    Raises
-    ------
-    UnknownEffectError
-        If there is no such kind.
+    Raises UnknownEffectError if there is no such kind.
     """
     known = effect_files()
     kind, _, number = name.rpartition("_")
@@ -99,10 +87,7 @@ def split_effect_name(name: str) -> tuple[str, int]:
 def effect_files() -> dict[str, Path]:
     """Find the file of each effect, by name, none of them loaded.
 
-    Raises
-    ------
-    PluginError
-        For two effects of the same name.
+    Raises PluginError for two effects of the same name.
     """
     files: dict[str, Path] = {}
     own = sorted(Path(package.__path__[0]).resolve().glob("[!_]*.py"))

@@ -81,10 +81,7 @@ class Model(Parametrised):
     def with_effects(self, *effects: type[Effect]) -> Model:
         """Add effects to the model, each in its place.
 
-        Raises
-        ------
-        ValueError
-            If an effect is active already.
+        Raises ValueError if an effect is active already.
         """
         model = self
         for effect in effects:

@@ -97,10 +97,7 @@ class LawSource:
         Arguments of the slot are passed by name; `arguments` are further ones. All
         others are parameters, of which the effect's own come before the paper's.
 
-        Raises
-        ------
-        TypeError
-            If the law takes an argument that is neither.
+        Raises TypeError if the law takes an argument that is neither.
         """
         known = {**ARGUMENT_EXPRESSIONS[slot], **arguments}
         ratio = self._row_if_any(FREE_LENGTH_ROWS[0])
