@@ -424,10 +424,8 @@ def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(
 
 
 def test_the_tip_is_judged_where_it_is(model, later):
-    t, true = (
-        np.linspace(0, 1, 30),
-        np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2)),
-    )
+    t = np.linspace(0, 1, 30)
+    true = np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2))
     stills = np.tile(true[None, :, None], (1, 3, 1, 1))
     x, y = (
         measurement_model(model)

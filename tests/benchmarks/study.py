@@ -149,10 +149,8 @@ def keep_settings(study: Study, config: Config, folder: Path) -> None:
     text = json.dumps(config, indent=2, sort_keys=True)
     if path.exists():
         growing = {f"{study.BLOCK}.{name}" for name in study.GROWING} | {"folder"}
-        before, now = (
-            flatten_settings(json.loads(path.read_text(encoding="utf-8"))),
-            flatten_settings(json.loads(text)),
-        )
+        before = flatten_settings(json.loads(path.read_text(encoding="utf-8")))
+        now = flatten_settings(json.loads(text))
         changed = [
             name
             for name in {**before, **now}

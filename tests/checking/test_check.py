@@ -760,20 +760,16 @@ def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_pa
 
 
 EFFECT = {
-    **{
-        "effect": "wind",
-        "parameter": "along_x",
-        "meaning": "velocity of the air to the right",
-        "unit": "m/s",
-    },
-    **{
-        "absent": 0.0,
-        "found_from": 0.021,
-        "tip_m": 6.8e-4,
-        "most_tip_m": 0.2,
-        "imitated": 0.52,
-        "alike": ["tip_mass"],
-    },
+    "effect": "wind",
+    "parameter": "along_x",
+    "meaning": "velocity of the air to the right",
+    "unit": "m/s",
+    "absent": 0.0,
+    "found_from": 0.021,
+    "tip_m": 6.8e-4,
+    "most_tip_m": 0.2,
+    "imitated": 0.52,
+    "alike": ["tip_mass"],
 }
 
 

@@ -34,12 +34,10 @@ class Sensor:
         self.held, self.dies, self.stamps, self.quiet = held or {}, dies, stamps, quiet
         self.properties, self.ignored, self.dumb = {}, set(), set()
         self.rng = np.random.default_rng(0)
-        self.begun, self.next, self.seen, self.released = (
-            time.monotonic(),
-            0,
-            None,
-            False,
-        )
+        self.begun = time.monotonic()
+        self.next = 0
+        self.seen = None
+        self.released = False
         # first number of the film, from which tests number frames
         self.counting_from = None
         self.decoding, self.damaged = lambda number: 0.0, set()

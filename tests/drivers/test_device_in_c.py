@@ -101,23 +101,20 @@ def fuzz(rng):
 
     The whole ones make sure that all states are reached.
     """
-    sequence, stream = (
-        0,
-        encode_command(Command(FrameKind.HELLO, 0, (PROTOCOL_VERSION,))),
-    )
+    sequence = 0
+    stream = encode_command(Command(FrameKind.HELLO, 0, (PROTOCOL_VERSION,)))
     odd = [0.0, 1.5, -3.0, 0.1, -0.0, 1e30, -1e30, float("nan"), float("inf")]
     values = {
         FrameKind.VELOCITY: lambda: [
             rng.choice(odd[: rng.choice([1, 2, 5, 9])]) for _ in range(3)
         ]
     }
-    usual, strange = (
-        [2.0] * 3 + [300.0] * 3,
-        [2.0, 1.5, 300.0, 0.0, 1e-3, -1.0, float("nan")],
-    )
+    usual = [2.0] * 3 + [300.0] * 3
+    strange = [2.0, 1.5, 300.0, 0.0, 1e-3, -1.0, float("nan")]
     values[FrameKind.LIMITS] = lambda: [
         *rng.choice([usual, usual, [rng.choice(strange) for _ in range(6)]]),
-        *(rng.choice([0, 5000]), rng.choice([0, 7, 400])),
+        rng.choice([0, 5000]),
+        rng.choice([0, 7, 400]),
     ]
     values[FrameKind.HELLO] = lambda: [
         rng.choice([PROTOCOL_VERSION, PROTOCOL_VERSION, 1])

@@ -122,10 +122,8 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     ticks = TICKS.check(performance.ticks)
     LINK.check(performance.link)
     np.testing.assert_allclose(ended, [0.5, -0.4, 0.6], atol=0.1)
-    sent, asked = (
-        ticks[list(SENT_SPEEDS)].to_numpy(),
-        movement().filter(like="w").to_numpy(),
-    )
+    sent = ticks[list(SENT_SPEEDS)].to_numpy()
+    asked = movement().filter(like="w").to_numpy()
     np.testing.assert_allclose(
         sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9
     )

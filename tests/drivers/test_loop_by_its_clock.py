@@ -165,12 +165,10 @@ def test_it_slows_to_rest_as_the_acceleration_asks_tick_by_tick(now, speed, tick
 def after(leap, between=0.005, **how):
     """Return the guard's reason after joint 3 turned `leap` [rad] in `between` [s]."""
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.device_time[:2], log.angles[:2], log.last_checked, log.last_answered = (
-        [7.0, 7.0 + between],
-        0.0,
-        0,
-        1,
-    )
+    log.device_time[:2] = [7.0, 7.0 + between]
+    log.angles[:2] = 0.0
+    log.last_checked = 0
+    log.last_answered = 1
     log.angles[1, 2] = leap
     return guard(**{"astray": 10.0, **how}).stop_reason(log, 2)
 
@@ -198,12 +196,10 @@ def test_a_jump_shows_among_answers_that_came_at_once(jump):
     answer.
     """
     log = reserve_log(np.zeros(3), np.zeros((5, 3)), ARM.tick)
-    log.device_time[:4], log.angles[:4], log.last_checked, log.last_answered = (
-        7.0 + 0.005 * np.arange(4),
-        0.0,
-        0,
-        3,
-    )
+    log.device_time[:4] = 7.0 + 0.005 * np.arange(4)
+    log.angles[:4] = 0.0
+    log.last_checked = 0
+    log.last_answered = 3
     assert guard(astray=10.0).stop_reason(log, 4) == ""
     log.angles[jump:4, 1] = 0.3
     assert guard(astray=10.0).stop_reason(log, 4) == "the encoder of joint 2 jumped"

@@ -144,12 +144,10 @@ def test_a_link_whose_times_are_no_numbers_is_refused():
 
 def test_a_tick_that_was_never_sent_counts_as_missed():
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
-    log.sent[:], log.acknowledged[:], log.device_time[:], log.angles[:] = (
-        log.due,
-        log.due,
-        log.due,
-        0.0,
-    )
+    log.sent[:] = log.due
+    log.acknowledged[:] = log.due
+    log.device_time[:] = log.due
+    log.angles[:] = 0.0
     log.sent[2] = np.nan
     performance = build_performance(log, 0.0, 0.1, 0.5, np.ones(3))
     assert performance.ticks["missed"].tolist() == [False, False, True, False]

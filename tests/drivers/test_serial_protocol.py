@@ -103,14 +103,13 @@ def test_frames_are_cut_wherever_the_bytes_are_torn():
 @pytest.mark.parametrize(
     ("sequence", "last", "after"),
     [
-        *(
-            (1, 0, True),
-            (0, 65535, True),
-            (5, 65530, True),
-            (0, 0, False),
-            (65535, 0, False),
-        ),
-        *((2**15 - 1, 0, True), (2**15, 0, False)),
+        (1, 0, True),
+        (0, 65535, True),
+        (5, 65530, True),
+        (0, 0, False),
+        (65535, 0, False),
+        (2**15 - 1, 0, True),
+        (2**15, 0, False),
     ],
 )
 def test_sequence_numbers_go_round(sequence, last, after):

@@ -32,19 +32,16 @@ STRING = implicit_string(
     12, 1e-3, LENGTH, effects=(*PAPER_EFFECTS, effects_by_name()["maxwell_slip"])
 )
 CABLE = {
-    **{
-        "axial_stiffness": 5e5,
-        "axial_damping": 300.0,
-        "bending_stiffness": 60.0,
-        "bending_damping": 0.2,
-    },
-    **{
-        "linear_drag": 0.3,
-        "quadratic_drag": 0.2,
-        "grasp_stiffness": 2.0,
-        "grasp_damping": 0.005,
-    },
-    **{"maxwell_slip.cap": 0.05, "maxwell_slip.slip": 1.5},
+    "axial_stiffness": 5e5,
+    "axial_damping": 300.0,
+    "bending_stiffness": 60.0,
+    "bending_damping": 0.2,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 2.0,
+    "grasp_damping": 0.005,
+    "maxwell_slip.cap": 0.05,
+    "maxwell_slip.slip": 1.5,
 }
 T = np.arange(0, 1.2, 1 / FPS)
 GRASP = np.repeat(np.array([[0.1, 0.4, -np.pi / 2]]), len(T), axis=0)

@@ -35,13 +35,12 @@ from tests.conftest import implicit_string
 LENGTH = 0.3
 STRING = implicit_string(15, 5e-4, LENGTH)
 NAMED = {
-    **{
-        "axial_stiffness": 9e5,
-        "axial_damping": 1300.0,
-        "bending_stiffness": 20.0,
-        "bending_damping": 0.05,
-    },
-    **{"linear_drag": 1.0, "grasp_stiffness": 1.0},
+    "axial_stiffness": 9e5,
+    "axial_damping": 1300.0,
+    "bending_stiffness": 20.0,
+    "bending_damping": 0.05,
+    "linear_drag": 1.0,
+    "grasp_stiffness": 1.0,
 }
 POSE = np.array([0.1, 0.2, -np.pi / 2])
 MIDDLE = (np.arange(300) + 0.5) / 1000  # arc lengths [m]

@@ -187,10 +187,8 @@ class Recorder:
         self.seen = []
 
     def obtain(self, step):
-        name, trials = (
-            step.stage.name,
-            [o.trial for o in step.inputs["trials"].observations],
-        )
+        name = step.stage.name
+        trials = [o.trial for o in step.inputs["trials"].observations]
         self.seen.append((name, step.number, trials, step.inputs["estimate"]))
         score = {"trial": trials[-1], "free": 2, "rms": 0.001, "tip": 0.002}
         fit = {
@@ -211,12 +209,10 @@ class Settings:
     """The settings that estimation from stored trials needs."""
 
     def __init__(self, model, trials_used, trials):
-        self.model, self.arm, self.camera, self.string = (
-            model,
-            model.arm,
-            model.camera,
-            model.string,
-        )
+        self.model = model
+        self.arm = model.arm
+        self.camera = model.camera
+        self.string = model.string
         self.config = {"trials_used": trials_used, "trials": str(trials)}
 
 

@@ -110,10 +110,8 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
         across, tips = misses(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
         off += [tips[i] / sigma[i] for i in tips]
-        near, close = (
-            near + sum(a < 1 for a in across.values()),
-            close + sum(a < 3 for a in tips.values()),
-        )
+        near = near + sum(a < 1 for a in across.values())
+        close = close + sum(a < 3 for a in tips.values())
         total += len(t)
     assert near >= 0.98 * total
     assert close >= 0.98 * total

@@ -192,9 +192,19 @@ def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
 @pytest.mark.parametrize(
     "name",
     [
-        *("arm", "camera", "target", "obstacles", "parameter_values", "string"),
-        *("string.ranges", "string.integrator", "obstacles.boxes", "saved_outputs"),
-        *("string.tolerance", "trials", "model_from"),
+        "arm",
+        "camera",
+        "target",
+        "obstacles",
+        "parameter_values",
+        "string",
+        "string.ranges",
+        "string.integrator",
+        "obstacles.boxes",
+        "saved_outputs",
+        "string.tolerance",
+        "trials",
+        "model_from",
     ],
 )
 def test_a_setting_of_another_shape_is_refused_by_its_name(settings, name):

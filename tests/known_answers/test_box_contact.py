@@ -151,11 +151,9 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
     error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
     """
     rng = np.random.default_rng(0)
-    beside, turn, speed = (
-        rng.uniform(-4e-3, 4e-3, 1000),
-        np.pi / 4 + rng.uniform(-0.6, 0.6, 1000),
-        3.0,
-    )
+    beside = rng.uniform(-4e-3, 4e-3, 1000)
+    turn = np.pi / 4 + rng.uniform(-0.6, 0.6, 1000)
+    speed = 3.0
     way = np.stack([np.cos(turn), np.sin(turn)])
     errors = []
     for step in (1e-4, 5e-5):

@@ -14,18 +14,14 @@ from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 LENGTH = 0.1
 STRIP = {
-    **{
-        "axial_stiffness": 9e6,
-        "axial_damping": 100.0,
-        "bending_stiffness": 30.0,
-        "bending_damping": 0.05,
-    },
-    **{
-        "linear_drag": 0.3,
-        "quadratic_drag": 0.2,
-        "grasp_stiffness": 5.0,
-        "grasp_damping": 5e-3,
-    },
+    "axial_stiffness": 9e6,
+    "axial_damping": 100.0,
+    "bending_stiffness": 30.0,
+    "bending_damping": 0.05,
+    "linear_drag": 0.3,
+    "quadratic_drag": 0.2,
+    "grasp_stiffness": 5.0,
+    "grasp_damping": 5e-3,
 }
 T = np.arange(0, 0.3, 0.005)
 # active in one test; all tests share two compiled loops

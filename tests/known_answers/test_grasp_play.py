@@ -20,12 +20,10 @@ from tests.conftest import implicit_string
 LENGTH = 0.3
 WEIGHT = 9.81 * LENGTH**2 / 2  # [m3/s2] the moment that holds it level
 ROD = {
-    **{
-        "axial_stiffness": 9e6,
-        "axial_damping": 100.0,
-        "bending_stiffness": 4e5,
-        "bending_damping": 0.05,
-    },
+    "axial_stiffness": 9e6,
+    "axial_damping": 100.0,
+    "bending_stiffness": 4e5,
+    "bending_damping": 0.05,
     "grasp_stiffness": 1e-12,
 }
 # The laws of `laws/test_memory_in_motion.py` are absent by their values, so that one

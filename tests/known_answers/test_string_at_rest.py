@@ -71,10 +71,8 @@ def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean)
     It does so on either side, though one is the longer way. With a hand as far off to
     the other side it is the mirror image.
     """
-    string, named = (
-        String(0.3, points=31, **SECOND_ORDER),
-        STIFF | {"bending_stiffness": 30.0},
-    )
+    string = String(0.3, points=31, **SECOND_ORDER)
+    named = STIFF | {"bending_stiffness": 30.0}
     values = string.material(string.values(named)[None])
     poses = (np.array([[0.0, 0.0, np.pi / 2 + side * lean]]) for side in (1, -1))
     right, left = (
@@ -88,10 +86,8 @@ def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean)
 
 @pytest.mark.parametrize("turn", [-8.3, 8.3])
 def test_a_limp_string_is_not_wound_about_its_hand(turn):
-    string, named = (
-        String(0.3, points=31, **SECOND_ORDER),
-        STIFF | {"bending_stiffness": 0.05},
-    )
+    string = String(0.3, points=31, **SECOND_ORDER)
+    named = STIFF | {"bending_stiffness": 0.05}
     angles, _ = hanging_shape(
         string,
         string.material(string.values(named)[None]),

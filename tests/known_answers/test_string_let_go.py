@@ -16,27 +16,22 @@ from tests.conftest import implicit_string
 
 FINE = implicit_string(15, 5e-4)
 SOFT = {
-    **{
-        "axial_stiffness": 9e5,
-        "axial_damping": 1300.0,
-        "bending_stiffness": 4.0,
-        "bending_damping": 0.02,
-    },
-    **{"linear_drag": 1.0, "grasp_stiffness": 0.05},
+    "axial_stiffness": 9e5,
+    "axial_damping": 1300.0,
+    "bending_stiffness": 4.0,
+    "bending_damping": 0.02,
+    "linear_drag": 1.0,
+    "grasp_stiffness": 0.05,
 }
 ROD = {
-    **{
-        "axial_stiffness": 9e5,
-        "axial_damping": 100.0,
-        "bending_stiffness": 400.0,
-        "bending_damping": 0.05,
-    },
-    **{
-        "linear_drag": 1e-12,
-        "quadratic_drag": 1e-12,
-        "grasp_stiffness": 1e-12,
-        "grasp_damping": 1e-12,
-    },
+    "axial_stiffness": 9e5,
+    "axial_damping": 100.0,
+    "bending_stiffness": 400.0,
+    "bending_damping": 0.05,
+    "linear_drag": 1e-12,
+    "quadratic_drag": 1e-12,
+    "grasp_stiffness": 1e-12,
+    "grasp_damping": 1e-12,
 }
 T = np.arange(0, 1.2, 0.005)
 HELD = np.stack([0 * T, 0 * T, 0 * T - np.pi / 2], axis=-1)

@@ -86,17 +86,13 @@ ACTING |= {
 }
 ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
 CORNER = {
-    **{
-        "box_contact.centre_x": 0.0,
-        "box_contact.centre_y": 0.85,
-        "box_contact.width": 0.2,
-        "box_contact.height": 0.2,
-    },
-    **{
-        "box_contact.stiffness": 3e3,
-        "box_contact.friction": 0.2,
-        "box_contact.loss": 0.1,
-    },
+    "box_contact.centre_x": 0.0,
+    "box_contact.centre_y": 0.85,
+    "box_contact.width": 0.2,
+    "box_contact.height": 0.2,
+    "box_contact.stiffness": 3e3,
+    "box_contact.friction": 0.2,
+    "box_contact.loss": 0.1,
 }
 ACTING |= dict.fromkeys(CORNER, CORNER)
 ACTING |= {
@@ -222,15 +218,13 @@ CONSTANTS = {
     "grasp_slip": "s",
 }
 ELSEWHERE = {
-    **{
-        "joints": "rad",
-        "times": "s",
-        "observe": "m",
-        "t": "s",
-        "angles": "rad",
-        "points": "m",
-        "velocity": "m/s",
-    },
+    "joints": "rad",
+    "times": "s",
+    "observe": "m",
+    "t": "s",
+    "angles": "rad",
+    "points": "m",
+    "velocity": "m/s",
     **dict.fromkeys(["x", "y", "s", "length"], "m"),
 }
 
@@ -379,10 +373,8 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
     The origin may lie behind a plane that absorbs impacts, or inside a box.
     """
     _, full, _, _ = swung
-    behind, before = (
-        {"contact.height": 0.4, "box_contact.centre_x": 0.0},
-        {"contact.height": -0.4},
-    )
+    behind = {"contact.height": 0.4, "box_contact.centre_x": 0.0}
+    before = {"contact.height": -0.4}
     some = {
         "contact.stiffness": 4e6,
         "contact.loss": 0.03,

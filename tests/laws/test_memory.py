@@ -287,10 +287,8 @@ def test_several_of_a_kind_are_named_by_numbers(arm):
     """
     both = ordinary(arm).with_effects(*find_effects(["maxwell_slip", "maxwell_slip_2"]))
     assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)
-    string, one = (
-        both.string,
-        ordinary(arm).with_effects(*find_effects(["maxwell_slip"])).string,
-    )
+    string = both.string
+    one = ordinary(arm).with_effects(*find_effects(["maxwell_slip"])).string
     values = {
         "maxwell_slip.slip": SLIP,
         "maxwell_slip_2.slip": SLIP,

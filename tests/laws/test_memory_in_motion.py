@@ -173,17 +173,14 @@ ROD = String(
 STIFF = {"axial_stiffness": 4e5, "axial_damping": 20.0}
 KNOWN = {"bending_stiffness": 0.02, "bending_damping": 2e-4, "grasp_stiffness": 0.2}
 HELD = {
-    **{
-        "maxwell_slip.cap": 0.02,
-        "maxwell_slip.slip": 0.5,
-        "dahl_friction.cap": 0.015,
-        "dahl_friction.slip": 0.8,
-    },
-    **{
-        "standard_linear_solid.stiffness": 0.01,
-        "standard_linear_solid.relaxation": 0.05,
-    },
-    **{"grasp_play.cap": 0.05, "grasp_play.slip": 0.1},
+    "maxwell_slip.cap": 0.02,
+    "maxwell_slip.slip": 0.5,
+    "dahl_friction.cap": 0.015,
+    "dahl_friction.slip": 0.8,
+    "standard_linear_solid.stiffness": 0.01,
+    "standard_linear_solid.relaxation": 0.05,
+    "grasp_play.cap": 0.05,
+    "grasp_play.slip": 0.1,
 }
 
 

@@ -85,10 +85,8 @@ def test_units_are_the_same_in_both_tables():
 
 
 def test_settings_are_those_of_the_paper():
-    table, config = (
-        read_printed_numbers().set_index(["what", "of"])["value"],
-        compose_settings(["+experiment=stringB"]),
-    )
+    table = read_printed_numbers().set_index(["what", "of"])["value"]
+    config = compose_settings(["+experiment=stringB"])
     pairs = {
         ("beta", "estimation"): config["estimate"]["beta"],
         ("chi_0", "estimation"): config["estimate"]["chi_0"],

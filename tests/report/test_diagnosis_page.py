@@ -94,10 +94,8 @@ def measured(off=0.004, trials=2, frames=30):
     tables = []
     for number in range(trials):
         angle = 3 * t - 1
-        along, left = (
-            np.stack([np.cos(angle), np.sin(angle)]),
-            np.stack([-np.sin(angle), np.cos(angle)]),
-        )
+        along = np.stack([np.cos(angle), np.sin(angle)])
+        left = np.stack([-np.sin(angle), np.cos(angle)])
         noise = rng.normal(0, SIGMA, (2, len(t)))
         extended = s * along
         base = extended - (1 + number) * off * t / t.max() * s / S[-1] * left
@@ -346,46 +344,35 @@ SAID = {
         "less than the tolerance",
     ],
     "effect": [
-        *(
-            "Found: tip mass",
-            "A mass of 5.1 % of the string's sits at the tip.",
-            "97 %",
-        ),
-        *(
-            "0.051",
-            "0.046 to 0.057",
-            "The extended model adds tip mass",
-            "81 234 ± 90",
-            "0.710 to 0.930",
-        ),
-        *(
-            "3.4 mm → 0.9 mm",
-            "6.1 mm → 1.3 mm",
-            "noise alone: 1.0 mm",
-            "56 716",
-            "65 432",
-            "base model alone",
-        ),
-        *(
-            "Order of the causes",
-            "t01 48 000, t00 9 000",
-            "t01, 0.30 s, 290 mm along the string",
-            "12.3 mm → 1.0 mm",
-        ),
-        *(
-            "Newton's second law",
-            "leaves 3 % of the base model's misfit at the tip",
-            "0.37",
-            "seed 7",
-        ),
+        "Found: tip mass",
+        "A mass of 5.1 % of the string's sits at the tip.",
+        "97 %",
+        "0.051",
+        "0.046 to 0.057",
+        "The extended model adds tip mass",
+        "81 234 ± 90",
+        "0.710 to 0.930",
+        "3.4 mm → 0.9 mm",
+        "6.1 mm → 1.3 mm",
+        "noise alone: 1.0 mm",
+        "56 716",
+        "65 432",
+        "base model alone",
+        "Order of the causes",
+        "t01 48 000, t00 9 000",
+        "t01, 0.30 s, 290 mm along the string",
+        "12.3 mm → 1.0 mm",
+        "Newton's second law",
+        "leaves 3 % of the base model's misfit at the tip",
+        "0.37",
+        "seed 7",
     ],
     "pair": ["Found: tip mass, arm lag", "48 %", "12.0 ms", "11.3 to 12.7 ms"],
     "ambiguous": [
-        *(
-            "Undecided: arm lag or time offset",
-            "do not distinguish arm lag and time offset",
-        ),
-        *("−12.0 ms", "−12.7 to −11.3 ms"),
+        "Undecided: arm lag or time offset",
+        "do not distinguish arm lag and time offset",
+        "−12.0 ms",
+        "−12.7 to −11.3 ms",
     ],
     "partial": [
         "Partly explained. Found: tip mass",
@@ -395,23 +382,18 @@ SAID = {
         "5.0 of 9.0 mm remain.",
     ],
     "unknown": [
-        *(
-            "The simulation has an error of unknown cause",
-            "What is left looks like a force.",
-        ),
-        *(
-            "The longest is 3.4 mm",
-            "No model was extended.",
-            "a cause that the library does not contain",
-        ),
+        "The simulation has an error of unknown cause",
+        "What is left looks like a force.",
+        "The longest is 3.4 mm",
+        "No model was extended.",
+        "a cause that the library does not contain",
     ],
     "insufficient": [
-        *(
-            "The data do not allow a diagnosis",
-            "there is one trial only",
-            "arm and camera overlap for 0.02 s only",
-        ),
-        *("No trial was left out of the fit", "not known"),
+        "The data do not allow a diagnosis",
+        "there is one trial only",
+        "arm and camera overlap for 0.02 s only",
+        "No trial was left out of the fit",
+        "not known",
     ],
 }
 
@@ -588,10 +570,8 @@ def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(page
 # --- truth of the pictures
 def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     table = measured()
-    base, extended = (
-        residual_components(table, "base"),
-        residual_components(table, "extended"),
-    )
+    base = residual_components(table, "base")
+    extended = residual_components(table, "extended")
     np.testing.assert_allclose(base["normal"], table["base_normal"] / SIGMA)
     np.testing.assert_allclose(base["tangential"], table["base_tangential"] / SIGMA)
     np.testing.assert_allclose(

@@ -474,29 +474,23 @@ def test_the_tips_way_is_not_guessed_across_long_gaps(record):
 
 def test_numbers_are_those_of_the_run(page):
     for words in (
-        *(
-            "24 mm",
-            "4 mm closest distance",
-            "0.400 → 0.900",
-            "45.6 mm → 12.3 mm",
-            "252.0 ms",
-        ),
-        *(
-            "a joint leaves its range",
-            "4320",
-            "the string is hidden behind the arm",
-            "300 mm",
-            "20 × 40 mm",
-        ),
-        *(
-            "cannot determine k h",
-            "estimate.beta",
-            "0.995",
-            "seed 7",
-            "0123456789",
-            "1.00 ms",
-            "(500, 750) mm",
-        ),
+        "24 mm",
+        "4 mm closest distance",
+        "0.400 → 0.900",
+        "45.6 mm → 12.3 mm",
+        "252.0 ms",
+        "a joint leaves its range",
+        "4320",
+        "the string is hidden behind the arm",
+        "300 mm",
+        "20 × 40 mm",
+        "cannot determine k h",
+        "estimate.beta",
+        "0.995",
+        "seed 7",
+        "0123456789",
+        "1.00 ms",
+        "(500, 750) mm",
     ):
         assert re.sub(r"\s+", " ", words) in page.text
     assert page.text.count("✓ hit") == 3

@@ -149,10 +149,8 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("table", type=Path)
     asked = parser.parse_args(arguments)
     folder = asked.folder
-    strips, photographs = (
-        folder / "l4dc_strip_video",
-        folder / "tudelft_cable_fr3" / "frames",
-    )
+    strips = folder / "l4dc_strip_video"
+    photographs = folder / "tudelft_cable_fr3" / "frames"
     rows = [
         strip_row(strips, film.stem)
         for film in sorted((strips / "videos").glob("*.mp4"))

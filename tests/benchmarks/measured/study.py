@@ -162,10 +162,8 @@ class MeasuredStudy(Study):
         """Return the range of errors of the best set of each string."""
         sets = tables["sets"]
         best = sets.loc[sets.groupby("string", sort=False)["tip"].idxmin()]
-        fitted, held_out = (
-            millimetre_range(best["tip"]),
-            millimetre_range(best["held_out_tip"].dropna()),
-        )
+        fitted = millimetre_range(best["tip"])
+        held_out = millimetre_range(best["held_out_tip"].dropna())
         return (
             f"{len(sets)} sets of effects on {len(best)} strings. The best set of each string has a tip error of "
             f"{fitted} mm in fitted trials, {held_out} mm in held-out trials."

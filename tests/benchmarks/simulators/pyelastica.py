@@ -306,11 +306,9 @@ def _integrate(
     dilatation, voronoi_dilatation = force_arguments[7], force_arguments[8]
     directors, shear_matrix = force_arguments[9], force_arguments[12]
     inner_forces = force_arguments[14]
-    v, bend_matrix, omega = (
-        torque_arguments[1],
-        torque_arguments[7],
-        torque_arguments[12],
-    )
+    v = torque_arguments[1]
+    bend_matrix = torque_arguments[7]
+    omega = torque_arguments[12]
     dilatation_rate, inner_torques = torque_arguments[16], torque_arguments[17]
 
     steps = (len(hand) - 1) // 2
