@@ -77,8 +77,7 @@ def test_a_model_changes_what_it_names_and_the_command_line_wins(
     model = {"string": {"length": 0.41}, "effects": ["wind"]}
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(model))
     words = [f"model_from={tmp_path}", f"string.points={points}", *given]
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", words)
+    config = OmegaConf.create(compose_settings(words))
     names = {word.partition("=")[0] for word in given}
     settings = inherit_settings(config, names)
     assert settings["string"]["length"] == length

@@ -196,6 +196,14 @@ def test_spaces_and_a_byte_order_mark_do_no_harm(given):
             "trials.a is 'held_out'; it must hold names and values",
         ),
         ({"format": 2}, "format is 2; this version reads 1"),
+        (
+            {"string": {"length": 0.4, "tip_mass": 0.03}},
+            ".* needs the string's own mass",
+        ),
+        (
+            {"string": {"length": 0.4, "mass": 0.4, "tip_mass": -1}},
+            "string.tip_mass is -1; it must be 0",
+        ),
     ],
 )
 def test_dataset_yaml_names_what_is_wrong(tmp_path, said, words):
