@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from rig import ARM, DRIVING, WORKSPACE, movement
 from test_velocity_loop import Script
+from test_velocity_loop import driver as arm
 
-from stringcast.hardware.arm import Driving, VelocityArm, clock, device, loop
+from stringcast.hardware.arm import Driving, clock, device, loop
 from stringcast.hardware.arm.limits import Workspace, check_movement
 from stringcast.hardware.arm.loop import DRAIN_S, Guard, play, reserve_log
 from stringcast.pipeline.settings.composition import UserError
@@ -256,10 +257,6 @@ def test_an_answer_that_was_overtaken_is_kept_but_is_not_the_latest(now):
 
 
 # --- the device
-
-
-def arm(wire, **changed):
-    return VelocityArm(ARM, wire, Driving(**{**vars(DRIVING), "misses": 4, **changed}))
 
 
 class Slow(Script):

@@ -26,8 +26,6 @@ from rig import (
 
 from stringcast.data.artifacts import LINK, SENT_SPEEDS, TICKS
 from stringcast.hardware.arm import VelocityArm
-from stringcast.hardware.arm.loop import reserve_log
-from stringcast.hardware.arm.record import build_performance
 from stringcast.hardware.serial.emulator.device import FAULT_KINDS
 from stringcast.hardware.serial.protocol import PROTOCOL_VERSION
 from stringcast.hardware.serial.wire import SerialWire
@@ -72,24 +70,6 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     assert {"trip_p50", "trip_p99", "trip_max"} <= set(performance.link)
 
 
-def test_measured_angles_are_put_at_the_moment_they_were_measured():
-    """Measured angles are dated to the moment at which they were measured.
-
-    The device clock is 7 s ahead, and answers are delayed by 0.3 to 9 ms.
-    """
-    rng = np.random.default_rng(1)
-    log = reserve_log(np.zeros(3), np.ones((400, 3)), 0.005)
-    log.sent = log.due + 1e-4
-    measured = log.sent + 3e-4
-    log.acknowledged = measured + 3e-4 + rng.exponential(3e-3, 400)
-    log.device_time, log.angles = measured + 7.0, np.zeros((400, 3))
-    log.acknowledged[50:60] = np.nan
-    table = build_performance(log, -0.2, 1.0, 1.0, np.ones(2)).arm
-    np.testing.assert_allclose(
-        table["t"], np.delete(measured, slice(50, 60)) - 0.2, atol=5e-4
-    )
-
-
 def test_move_to_goes_there_slowly(log):
     with emulator(log) as port, driver(port) as arm:
         arm.move_to([0.3, 0.2, -0.3])
@@ -128,29 +108,6 @@ def test_too_many_late_ticks_make_the_trial_invalid_with_the_reason(log):
         link = arm.perform(movement()).link.iloc[0]
     assert not link["valid"]
     assert "were late or lost, allowed are 0.0%" in link["reason"]
-
-
-def test_a_slow_link_is_refused_with_its_distribution(log):
-    with (
-        emulator(log) as port,
-        pytest.raises(
-            HardwareError, match=r"round trip takes .* ms \(99 %: .*, longest: "
-        ),
-        driver(port, round_trip=1e-6),
-    ):
-        pass
-
-
-def test_a_wrong_start_is_refused_before_anything_moves(log):
-    shifted = movement()
-    shifted["q1"] += 0.1
-    with emulator(log) as port:
-        with (
-            pytest.raises(HardwareError, match="degrees from the movement's start"),
-            driver(port) as arm,
-        ):
-            arm.perform(shifted)
-        assert not {"moving", "moves"} & {e["event"] for e in events(log)}
 
 
 class Pressed(SerialWire):
