@@ -34,7 +34,7 @@ from stringcast.pipeline.sweep.attempt import Attempt
 from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Ledger
 from stringcast.stages.report import theme
-from tests.faults.strike import look_at_what_is_left
+from tests.faults.strike import find_litter, look_at_what_is_left
 from tests.faults.toy import ROOT, STAGES, TINY, contents
 
 ERRORS = (  # number of the error, and whether it lasts until the command is repeated
@@ -209,10 +209,7 @@ def strike(kind, folder, n, whole):
     kind.look(folder, whole)
     assert command(kind.again(folder), folder.with_suffix(".said"))[0] == 0, where
     assert kind.made(folder) == whole, where
-    litter = [
-        path for pattern in (".*.part", ".*.replaced") for path in folder.rglob(pattern)
-    ]
-    assert not litter, where
+    assert not find_litter(folder), where
     shutil.rmtree(folder)
     return struck
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 from stringcast.data import disk
 from stringcast.data.schema import DataError
-from tests.faults.toy import contents, toy_run
+from tests.faults.toy import Killed, contents, toy_run
 
 STEPS = {
     "motion": "generate",
@@ -19,13 +19,6 @@ STEPS = {
     "points": "extract",
     "estimate": "estimate",
 }
-
-
-class Killed(BaseException):
-    """An exception that stands for a kill: no code catches it.
-
-    Nothing works after it.
-    """
 
 
 KINDS = {  # the fault, and whether it lasts until the run is restarted
@@ -124,14 +117,14 @@ def strike(patch_context, n, kind, here, folder, whole):
             [*here.mode.stages] * here.config["max_casts"]
         ), "work was lost"
         assert contents(folder) == whole
-        litter = [
-            path
-            for pattern in (".*.part", ".*.replaced")
-            for path in folder.rglob(pattern)
-        ]
-        assert not litter
+        assert not find_litter(folder)
         shutil.rmtree(folder)
     return faults.struck
+
+
+def find_litter(folder):
+    """Return what a writer that was interrupted left under other names."""
+    return [*folder.rglob(".*.part"), *folder.rglob(".*.replaced")]
 
 
 def finished(folder: Path):

@@ -6,7 +6,6 @@ Nothing half-written counts, and nothing finished is lost.
 import ast
 import json
 import os
-import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -19,8 +18,8 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run import run_folder
 from tests.faults.kills import Forked, rounds
-from tests.faults.strike import KINDS, STEPS, Faults, Killed, strike
-from tests.faults.toy import ROOT, contents, toy_experiment, toy_run
+from tests.faults.strike import KINDS, STEPS, Faults, strike
+from tests.faults.toy import ROOT, Killed, contents, toy_experiment, toy_run
 
 CLOCKS = {
     "time",
@@ -138,25 +137,31 @@ def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
 
 
 HOLDER = """
-import sys, time; sys.path.insert(0, {root!r})
+import sys
 from pathlib import Path
 from stringcast.pipeline.run import run_folder
-with run_folder.exclusive_access(Path({folder!r})):
+with run_folder.exclusive_access(Path(sys.argv[1])):
     print("held", flush=True)
-    time.sleep(60)
+    sys.stdin.read()
 """
 
 
-def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path):
-    code = HOLDER.format(root=str(ROOT), folder=str(tmp_path))
-    holder = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
-    )
-    assert holder.stdout.readline() == "held\n"
+@pytest.fixture
+def holder(tmp_path):
+    """Return a process that works in the folder until it is killed."""
+    command = [sys.executable, "-c", HOLDER, str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, cwd=ROOT, **pipes) as process:
+        assert process.stdout.readline() == b"held\n"
+        yield process
+        process.kill()
+
+
+def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path, holder):
     with pytest.raises(DataError, match="another process is working in this folder"):
         toy_run(tmp_path, toy_experiment(1))
     assert not (tmp_path / "config.json").exists()
-    holder.send_signal(signal.SIGKILL)
+    holder.kill()
     holder.wait()
     assert (tmp_path / ".lock").exists()
     assert toy_run(tmp_path, toy_experiment(1))[0] == [*STEPS.values()]
@@ -220,41 +225,19 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
     assert (tmp_path / "run" / "run.json").exists()
 
 
-HOLDING = """
-import sys
-from pathlib import Path
-from stringcast.pipeline.run import run_folder
-with run_folder.exclusive_access(Path(sys.argv[1])):
-    print("held", flush=True)
-    sys.stdin.read()
-"""
-
-
 @pytest.mark.parametrize("working", [True, False])
-def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, working):
+def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, holder, working):
     """A refused run leaves the folder of another run unchanged.
 
     The other works in the folder, or was killed before it had made anything.
     """
-    command = [sys.executable, "-c", HOLDING, str(tmp_path)]
-    other = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
-    )
-    try:
-        assert other.stdout.readline() == b"held\n"
-        (tmp_path / "config.json").write_text("{}")
-        if not working:
-            other.kill()
-            other.wait()
-        with pytest.raises(
-            DataError, match="another process" if working else "other settings"
-        ):
-            toy_run(tmp_path, toy_experiment(1))
-        run_folder.remove_empty_folder(tmp_path)
-        assert {file.name for file in tmp_path.iterdir()} - {
-            "failed.txt",
-            "run.log",
-        } == {"config.json", ".lock"}
-    finally:
-        other.kill()
-        other.communicate()
+    (tmp_path / "config.json").write_text("{}")
+    if not working:
+        holder.kill()
+        holder.wait()
+    reason = "another process" if working else "other settings"
+    with pytest.raises(DataError, match=reason):
+        toy_run(tmp_path, toy_experiment(1))
+    run_folder.remove_empty_folder(tmp_path)
+    left = {file.name for file in tmp_path.iterdir()} - {"failed.txt", "run.log"}
+    assert left == {"config.json", ".lock"}

@@ -14,16 +14,10 @@ import pytest
 from stringcast.data import disk, store
 from stringcast.data.artifacts import Points, Trial
 from stringcast.data.schema import DataError
+from tests.faults.toy import Killed
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATIONS = ("make_folder", "write", "sync_folder", "rename")
-
-
-class Killed(BaseException):
-    """An exception that stands for a kill: no code catches it.
-
-    Nothing is cleaned up after it.
-    """
 
 
 def points(value):
