@@ -5,27 +5,22 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import yaml
-from omegaconf import OmegaConf
 
 from stringcast.pipeline.run.experiment import prepare_experiment
-from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.settings_from_runs import read_extended_model
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.alignment.stand import OFF, stand
+from tests.experiments import resolve_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122}}
 
 
 def made(parameter_values, effects=("time_offset",)):
-    settings = OmegaConf.to_container(
-        OmegaConf.create(compose_settings()), resolve=True
-    )
-    return prepare_experiment(
-        settings | {"effects": list(effects), "parameter_values": parameter_values},
-        lambda block: f"conf/{block}",
-    )
+    known = {"effects": list(effects), "parameter_values": parameter_values}
+    return prepare_experiment(resolve_settings() | known, lambda block: f"conf/{block}")
 
 
 def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():

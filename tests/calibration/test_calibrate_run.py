@@ -17,7 +17,6 @@ from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import board
-from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
@@ -26,6 +25,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.views import detect_board
 from stringcast.stages.model.camera import Camera
+from tests.experiments import compose_experiment
 
 SILENT = Terminal(quiet=True)
 
@@ -48,12 +48,7 @@ def settled(folders, *more):
     given = {"source.folder": folders / "tilted", "plane.folder": folders / "flat"}
     given |= dict(override.split("=", 1) for override in more)
     words = [f"{name}={value}" for name, value in given.items()]
-    config = OmegaConf.create(
-        compose_settings(["+experiment=calibrate", "source=images", *words])
-    )
-    return prepare_experiment(
-        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
-    )
+    return compose_experiment("+experiment=calibrate", "source=images", *words)
 
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):

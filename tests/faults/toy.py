@@ -14,16 +14,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
-from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 
 from stringcast.data import store
 from stringcast.data.artifacts import Estimate, Motion, Points, Trial
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run import report
-from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.file_names import LOG_FILE
 from stringcast.pipeline.run.single_run import perform_run
+from tests.experiments import compose_experiment
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = (
@@ -37,7 +35,7 @@ CALLS = []  # names of artifacts in the order in which they were made
 
 
 class Killed(BaseException):
-    """The end of a process at any place."""
+    """An exception that stands for a kill: no code catches it."""
 
 
 @contextmanager
@@ -46,13 +44,7 @@ def silent(name):
     yield lambda share: None
 
 
-@cache
-def composed(*overrides):
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", [*overrides])
-    return prepare_experiment(
-        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
-    )
+composed = cache(compose_experiment)
 
 
 def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):

@@ -9,20 +9,17 @@ import pytest
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.run.cost import ask_about_cost, estimate_costs
-from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import UserError
-from tests.foreign.test_foreign_settings import resolved
+from tests.experiments import compose_experiment, resolve_settings
 
 LIMIT_HOURS = 4.0
 SAMPLE = "trials=data/sample"
 
 
-def experiment(*overrides):
-    return prepare_experiment(resolved(*overrides), lambda block: f"conf/{block}")
-
-
 def ask(*overrides, console=None):
-    ask_about_cost(experiment(*overrides), LIMIT_HOURS, console or Terminal(quiet=True))
+    ask_about_cost(
+        compose_experiment(*overrides), LIMIT_HOURS, console or Terminal(quiet=True)
+    )
 
 
 @pytest.mark.parametrize(
@@ -38,7 +35,7 @@ def ask(*overrides, console=None):
 )
 def test_what_takes_minutes_is_not_asked_about(overrides):
     ask(*overrides)
-    costs = estimate_costs(experiment(*overrides))
+    costs = estimate_costs(compose_experiment(*overrides))
     assert all(cost.core_hours < 0.1 for cost in costs)
 
 
@@ -69,7 +66,7 @@ def test_what_takes_hours_is_refused_with_the_setting_and_the_word(
     message = str(raised.value)
     assert settings in message
     allowed = float(message.rpartition("max_core_hours=")[2])
-    ask_about_cost(experiment(*overrides), allowed, Terminal(quiet=True))
+    ask_about_cost(compose_experiment(*overrides), allowed, Terminal(quiet=True))
 
 
 @pytest.mark.parametrize(("answer", "begins"), [("y", True), ("", False)])
@@ -90,7 +87,7 @@ def test_a_person_at_the_terminal_is_asked(monkeypatch, answer, begins):
 @pytest.mark.parametrize("command", ["resume", "verify"])
 def test_a_run_of_others_does_not_bring_its_own_limit(tmp_path, command):
     costly = ("estimate=cma_es", "estimate.candidates=10000000")
-    config = resolved(*costly, "max_core_hours=1000000")
+    config = resolve_settings(*costly, "max_core_hours=1000000")
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(UserError, match=r"= 4\. .* --max-core-hours \d"):
         load_command(command)([str(tmp_path)])

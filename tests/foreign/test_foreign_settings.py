@@ -28,6 +28,7 @@ from stringcast.pipeline.settings.settings_from_runs import (
 )
 from stringcast.pipeline.settings.typed_settings import load_callable
 from stringcast.stages.model.engine import module_cache
+from tests.experiments import resolve_settings
 
 
 class Touch:
@@ -72,16 +73,9 @@ def poisons(canary):
 PLACES = ("string.integrator", "estimate", "hardware", "generate")
 
 
-def resolved(*overrides):
-    return OmegaConf.to_container(
-        OmegaConf.create(compose_settings(("hydra.run.dir=.", *overrides))),
-        resolve=True,
-    )
-
-
 @pytest.fixture(scope="module")
 def settings():
-    return resolved("+experiment=quick")
+    return resolve_settings("+experiment=quick")
 
 
 def poisoned(settings, place, poison):
@@ -186,7 +180,7 @@ def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
     2 TB were requested, and loops of 3000 effects compiled until Python gave up.
     """
     with pytest.raises(UserError, match=message):
-        prepare_experiment(resolved(*words), lambda block: block)
+        prepare_experiment(resolve_settings(*words), lambda block: block)
 
 
 @pytest.mark.parametrize(
@@ -221,7 +215,7 @@ def test_a_known_value_is_no_larger_than_any_setting(settings, value):
 
 
 def test_what_is_known_is_finite():
-    settings = resolved("effects=[tip_mass]") | {
+    settings = resolve_settings("effects=[tip_mass]") | {
         "parameter_values": {"tip_mass.ratio": float("nan")}
     }
     with pytest.raises(
@@ -281,7 +275,7 @@ def test_no_setting_of_a_run_names_a_file_to_write(tmp_path):
     """
     precious = tmp_path / "precious"
     precious.write_text("mine")
-    config = resolved("hardware=emulator")
+    config = resolve_settings("hardware=emulator")
     config["hardware"]["record"] = str(precious)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "config.json").write_text(json.dumps(config))
@@ -341,7 +335,7 @@ def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch
 
 
 def test_a_real_arm_does_not_move_by_limits_of_others(settings):
-    real = resolved("hardware=serial")
+    real = resolve_settings("hardware=serial")
     faster = {**real, "arm": {**real["arm"], "hand_speed": 99.0}}
     with pytest.raises(
         UserError,
@@ -350,7 +344,7 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
         refuse_inherited_limits(faster, real, "trials=x")
     refuse_inherited_limits(faster, {**real, "accept_limits": True}, "trials=x")
     estimating, aligning = (
-        {**faster, "mode": resolved(f"mode={mode}")["mode"]}
+        {**faster, "mode": resolve_settings(f"mode={mode}")["mode"]}
         for mode in ("estimate", "align")
     )
     refuse_inherited_limits(estimating, real, "trials=x")
@@ -363,7 +357,7 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
 
 @pytest.mark.parametrize("block", ["arm", "hardware", "execute"])
 def test_every_limit_of_others_is_asked_about(block):
-    real = resolved("hardware=serial")
+    real = resolve_settings("hardware=serial")
     other = {**real, block: {**real[block], "added_by_others": 1.0}}
     with pytest.raises(
         UserError, match=rf"{block}\.added_by_others: absent here, 1\.0 there"
@@ -377,7 +371,9 @@ def test_a_virtual_arm_asks_nobody(settings):
 
 
 def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
-    (tmp_path / "config.json").write_text(json.dumps(resolved("hardware=serial")))
+    (tmp_path / "config.json").write_text(
+        json.dumps(resolve_settings("hardware=serial"))
+    )
     with pytest.raises(
         UserError, match=r"hardware\.port: .*/dev/ttyUSB0 there[\s\S]*--accept-limits"
     ):

@@ -21,7 +21,7 @@ from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import load_command
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.single_run import perform_run
-from tests.foreign.test_foreign_settings import resolved
+from tests.experiments import resolve_settings
 from tests.fuzzing.guard import run_guarded
 from tests.fuzzing.mutations import damaged_bytes, damaged_csv, damaged_document
 from tests.importing.test_readers import FRAMES, JOINT_STATE, POINT
@@ -48,7 +48,7 @@ def fuzzed(examples):
 def run(tmp_path_factory):
     """Return a real run of one cast."""
     folder = tmp_path_factory.mktemp("good") / "run"
-    quick = resolved("+experiment=quick", "saved_outputs=[frames]")
+    quick = resolve_settings("+experiment=quick", "saved_outputs=[frames]")
     perform_run(prepare_experiment(quick, lambda block: block), folder, quiet())
     return folder
 

@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-from omegaconf import OmegaConf
-
-from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
-from stringcast.pipeline.settings.composition import compose_settings
+from stringcast.pipeline.run.experiment import Experiment
+from tests.experiments import compose_experiment
 
 SMALL = (
     "camera.width=320",
@@ -20,9 +18,5 @@ def about(trials: Path, *overrides: str) -> Experiment:
 
     `overrides` are those of the command line.
     """
-    asked = OmegaConf.create(
-        compose_settings([*overrides, f"trials={trials}", "string.length=0.33", *SMALL])
-    )
-    return prepare_experiment(
-        OmegaConf.to_container(asked, resolve=True), lambda block: f"conf/{block}"
-    )
+    words = (*overrides, f"trials={trials}", "string.length=0.33", *SMALL)
+    return compose_experiment(*words)

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from stringcast.data import store
 from stringcast.pipeline.settings import composition, settings_from_runs
+from tests.experiments import compose_experiment
 
 BARE = "saved_outputs=[frames]"  # leaves out the report where the test does not need it
 # a target [m] as small as the paper's, which two casts do not hit
@@ -462,20 +463,6 @@ def test_a_damaged_trial_is_named(quick, called, tmp_path):
     assert "points.parquet" in refused.stderr.replace("\n", "")
 
 
-def composed(*overrides):
-    """Return the settings of a configuration."""
-    from hydra import compose, initialize_config_dir
-    from omegaconf import OmegaConf
-
-    from stringcast.pipeline.run.experiment import prepare_experiment
-
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", list(overrides))
-    return prepare_experiment(
-        OmegaConf.to_container(config, resolve=True), lambda block: f"conf/{block}"
-    )
-
-
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_every_experiment_composes_and_is_valid(name):
     stored = (
@@ -488,18 +475,18 @@ def test_every_experiment_composes_and_is_valid(name):
     points |= dict.fromkeys(("diagnose", "decide"), 57)
     own = ("align", "calibrate")  # experiments that simulate no string
     points |= dict.fromkeys(own, 57)
-    assert composed(f"+experiment={name}", *stored).string.points == points.get(
-        name, 10
-    )
+    string = compose_experiment(f"+experiment={name}", *stored).string
+    assert string.points == points.get(name, 10)
 
 
 def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
     loose, tight = (
-        composed("string=fine", f"string.tolerance={t}").string for t in (0.03, 0.003)
+        compose_experiment("string=fine", f"string.tolerance={t}").string
+        for t in (0.03, 0.003)
     )
     assert loose.points < tight.points
     assert loose.largest_step >= tight.largest_step
-    assert composed("string=fine").string.points == 57
+    assert compose_experiment("string=fine").string.points == 57
 
 
 def test_help_helps(called):

@@ -4,11 +4,10 @@ import json
 
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from stringcast.pipeline.run.provenance import input_hashes
-from stringcast.pipeline.settings.composition import UserError
+from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.settings_from_runs import (
     add_clock_interval,
     add_weighed_tip_mass,
@@ -52,8 +51,9 @@ def test_a_weighed_tip_mass_is_known_to_a_thousandth():
 
 def test_a_known_tip_mass_stays_and_none_adds_nothing():
     merged = model_settings()
-    add_weighed_tip_mass(merged, {"string": {"length": 0.3}})
-    assert merged == model_settings()
+    for string in ({"length": 0.3}, {"mass": 0.02}, {"mass": 0.02, "tip_mass": 0.0}):
+        add_weighed_tip_mass(merged, {"string": string})
+        assert merged == model_settings()
     known = {"tip_mass.ratio": 0.05}
     merged = OmegaConf.create({"effects": ["tip_mass"], "parameter_values": known})
     add_weighed_tip_mass(merged, {"string": {"tip_mass": 0.002, "mass": 0.02}})
@@ -90,8 +90,7 @@ SAMPLE = ROOT / "data/sample"
 
 
 def inherited(*words):
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("config", words)
+    config = OmegaConf.create(compose_settings(words))
     return inherit_settings(config, {word.partition("=")[0] for word in words})
 
 

@@ -14,7 +14,7 @@ from stringcast.stages.kept_results import (
     use_any_store,
     use_store,
 )
-from tests.foreign.test_foreign_settings import resolved
+from tests.experiments import resolve_settings
 
 VERSIONS = {"code": {"source": "abc"}, "packages": {"numpy": "2"}}
 RESULT = (np.arange(6.0).reshape(2, 3) / 7, np.array(1e-300), np.zeros((0, 4)))
@@ -152,7 +152,7 @@ def test_the_order_of_names_does_not_count():
 
 def test_a_resumed_run_asks_for_the_same_results():
     """`resume` reads its settings sorted by name; all results were made again."""
-    settings = resolved("+experiment=diagnose", "trials=data/sample")
+    settings = resolve_settings("+experiment=diagnose", "trials=data/sample")
     stored = json.loads(json.dumps(settings, sort_keys=True))
     digests = set()
     for config in (settings, stored):

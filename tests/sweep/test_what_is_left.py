@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from omegaconf import OmegaConf
 
 from stringcast.data import dataset
 from stringcast.data.artifacts import ARM, FRAMES, LINK, POINTS, TICKS, Trial
@@ -15,8 +14,9 @@ from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.experiment import SAVEABLE_OUTPUTS, check_run_settings
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.result import RunResult
-from stringcast.pipeline.settings.composition import UserError, compose_settings
+from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.sweep.launcher import remaining_time
+from tests.experiments import resolve_settings
 
 
 def test_the_time_left_is_at_the_pace_so_far():
@@ -64,7 +64,7 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
 
 
 def test_what_a_run_may_leave_is_named():
-    config = OmegaConf.to_container(OmegaConf.create(compose_settings()), resolve=True)
+    config = resolve_settings()
     assert config["saved_outputs"] == list(SAVEABLE_OUTPUTS)
     for wrong in (["pictures"], "frames"):
         with pytest.raises(
