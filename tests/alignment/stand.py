@@ -22,6 +22,7 @@ from stringcast.data.artifacts import (
 from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measurement_model
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
@@ -60,9 +61,7 @@ class Stand:
         fine, turned = servo.follow_commands(
             t, commands[list(SPEEDS)].to_numpy(), np.random.default_rng([self.seed, 1])
         )
-        told = np.stack(
-            [np.interp(t, fine, start[j] + turned[:, j]) for j in range(3)], axis=-1
-        )
+        told = interpolate_rows(t, fine, start + turned)
         report = dict(zip(JOINTS, servo.encoder_reading(told).T, strict=True))
         return pd.DataFrame({"t": t} | report), resample_joint_motion(
             fine, start + turned, 0.001

@@ -43,6 +43,7 @@ from stringcast.stages.align.fit import (
 from stringcast.stages.align.grasp import hand_sightings
 from stringcast.stages.align.lookalike import largest_hidden_lag
 from stringcast.stages.align.sightings import SightedTrial
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
 from stringcast.stages.extract.footage import aligned_footage
@@ -246,11 +247,9 @@ def test_it_refuses_with_the_reason(bench, wrong):
 
 def test_points_that_the_joints_told_show_nothing(bench):
     seen = bench.observation({})
+    angles = bench.arm[list(JOINTS)].to_numpy()
     hand = bench.model.arm.joint_positions(
-        np.stack(
-            [np.interp(seen.points["t"], bench.arm["t"], bench.arm[q]) for q in JOINTS],
-            axis=-1,
-        )
+        interpolate_rows(seen.points["t"], bench.arm["t"], angles)
     )
     x, y = hand[:, -1].T
     with pytest.raises(DataError, match="begin where the joints say"):

@@ -14,6 +14,7 @@ from conftest import rms_distance
 from stringcast.data import dataset
 from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.data.schema import DataError
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.initial_modes import (
@@ -70,11 +71,9 @@ def released(turn, places, fps, noise, seed=0, until=0.6, string=STRING):
     true = simulate(
         string, resample_hand_motion(t, grasp), string.values(NAMED)[None], t, start
     ).points[0]
-    line = [
-        [np.interp(places, string.arc_lengths(), one[:, axis]) for axis in (0, 1)]
-        for one in true
-    ]
-    seen = np.array(line).transpose(0, 2, 1)
+    seen = np.array(
+        [interpolate_rows(places, string.arc_lengths(), line) for line in true]
+    )
     return t, seen + np.random.default_rng(seed).normal(0, noise, seen.shape)
 
 

@@ -23,6 +23,7 @@ from stringcast.data.artifacts import (
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
 from stringcast.pipeline.run.result import run_summary
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate.prediction.predict import predict, resting_part
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
@@ -76,13 +77,9 @@ def driven(model, values, name="driven", start=None):
         T,
         start,
     )
-    line = [
-        [np.interp(PLACES, model.string.arc_lengths(), one[:, axis]) for axis in (0, 1)]
-        for one in true.points[0]
-    ]
-    seen = np.array(line).transpose(0, 2, 1) + np.random.default_rng(1).normal(
-        0, NOISE, (len(T), 2, 2)
-    )
+    s = model.string.arc_lengths()
+    seen = np.array([interpolate_rows(PLACES, s, line) for line in true.points[0]])
+    seen += np.random.default_rng(1).normal(0, NOISE, (len(T), 2, 2))
     points = pd.DataFrame(
         {"t": T.repeat(2), "s": np.tile(PLACES, len(T)), "sigma": NOISE, "valid": True}
     )

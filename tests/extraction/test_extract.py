@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.extract.extract import arc_lengths_on_line, extract
 from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.extract.score import pixel_scores, rasterise
@@ -37,9 +38,7 @@ def misses(points, trial, true, camera):
     across, tips = {}, {}
     for moment, rows in points.points.groupby("t"):
         frame = int(np.argmin(np.abs(t - moment)))
-        curve = np.stack(
-            [np.interp(fine, s, true[frame, :, i]) for i in (0, 1)], axis=-1
-        )
+        curve = interpolate_rows(fine, s, true[frame])
         away = np.linalg.norm(
             rows[["x", "y"]].to_numpy()[:, None] - curve[None], axis=-1
         ).min(axis=1)

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from conftest import ROOT, specimen
 
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import fill_never_uncovered
@@ -47,9 +48,7 @@ def off(cast, cell):
     result = []
     for t, rows in found.points[found.points["s"] > 0].groupby("t"):
         true = shot.truth[int(np.argmin(np.abs(shot.frame_times - t)))]
-        places = np.stack(
-            [np.interp(rows["s"] / 0.3, share, true[:, i]) for i in (0, 1)], axis=-1
-        )
+        places = interpolate_rows(rows["s"] / 0.3, share, true)
         result.append(
             (rows[["x", "y"]].to_numpy() - places) / rows[["sigma"]].to_numpy()
         )

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.stages.check.consistency.record import arm_poses
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
@@ -134,8 +135,7 @@ class Bench:
             new = {}
             for name, (times, xy) in points.items():
                 even = np.arange(times[0], times[-1], 1 / rate)
-                columns = [np.interp(even, times, column) for column in xy.T]
-                new[name] = (even, np.stack(columns, axis=-1))
+                new[name] = (even, interpolate_rows(even, times, xy))
             evened.append(new)
         fps = round(rate) * stated
         if self.clock:

@@ -12,6 +12,7 @@ from conftest import ROOT
 
 from stringcast.data import dataset
 from stringcast.stages.check.consistency.record import arm_poses
+from stringcast.stages.common import interpolate_rows
 from tests.importing.mistakes import (
     FILE_MISTAKES,
     MISTAKES,
@@ -147,7 +148,7 @@ def is_near(times, places, true_times, true_places):
     """Return whether most places (N, 2) are the true ones at their times."""
     smallest = np.inf
     for offset in CLOCK_ERRORS_S:
-        at_times = [np.interp(times + offset, true_times, xy) for xy in true_places.T]
-        errors = np.linalg.norm(places - np.stack(at_times, axis=-1), axis=1)
+        at_times = interpolate_rows(times + offset, true_times, true_places)
+        errors = np.linalg.norm(places - at_times, axis=1)
         smallest = min(smallest, np.quantile(errors, SHARE_TRUE))
     return smallest < MAX_ERROR_M

@@ -19,6 +19,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
+from stringcast.stages.common import interpolate_rows
 from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
@@ -147,12 +148,7 @@ def manipulation(arm, camera, number=1, hit=False, noise=6.0):
     joints = dict(zip(JOINTS, swing(ticks, 0)[0].T, strict=True))
     read = np.arange(len(t)) % 17 != 5
     s = np.linspace(0, STRING.length, 24)
-    along = [
-        np.stack(
-            [np.interp(s, STRING.arc_lengths(), line[:, i]) for i in (0, 1)], axis=-1
-        )
-        for line in true
-    ]
+    along = [interpolate_rows(s, STRING.arc_lengths(), line) for line in true]
     points = pd.concat(
         pd.DataFrame(
             {
