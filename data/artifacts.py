@@ -203,8 +203,8 @@ LINK = Table(
 
 def lateness_columns(name: str, times: np.ndarray) -> dict[str, float]:
     """Return median, 99th percentile and largest of times [s], as columns of LINK."""
-    p50, p99, most = map(float, np.percentile(times, [50, 99, 100]))
-    return {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": most}
+    p50, p99, largest = map(float, np.percentile(times, [50, 99, 100]))
+    return {f"{name}_p50": p50, f"{name}_p99": p99, f"{name}_max": largest}
 
 
 @dataclass(frozen=True)

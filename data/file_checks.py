@@ -67,8 +67,8 @@ REFUSED_YAML_TAGS = {
 }
 
 
-def require_plain_file(path: Path, most: int | None = None) -> Path:
-    """Require a plain file of at most `most` bytes and return its path.
+def require_plain_file(path: Path, max_bytes: int | None = None) -> Path:
+    """Require a plain file of at most `max_bytes` and return its path.
 
     A pipe would block the reader, and a device may never end.
     """
@@ -88,9 +88,9 @@ def require_plain_file(path: Path, most: int | None = None) -> Path:
             f"{path}: it is no plain file (a folder, a pipe or a device). "
             "Put a file there."
         )
-    if most is not None and status.st_size > most:
+    if max_bytes is not None and status.st_size > max_bytes:
         raise DataError(
-            f"{path}: it has {status.st_size} bytes, at most {most} are read. "
+            f"{path}: it has {status.st_size} bytes, at most {max_bytes} are read. "
             "Make it smaller, or split it."
         )
     return path

@@ -167,8 +167,8 @@ def _drop_impossible_values(
         rows.drop(f"no {name}", rows.frame[name].isna())
     for name in numbers:
         rows.drop(f"{name} is not a finite number", ~np.isfinite(rows.frame[name]))
-        most = MAX_TIME_S if name == "t" else MAX_VALUE
-        rows.drop(f"{name} is beyond {most:.0e}", rows.frame[name].abs() > most)
+        largest = MAX_TIME_S if name == "t" else MAX_VALUE
+        rows.drop(f"{name} is beyond {largest:.0e}", rows.frame[name].abs() > largest)
     if "s" in numbers:
         rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M)
     if "sigma" in rows.frame:

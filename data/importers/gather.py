@@ -241,7 +241,7 @@ def _match_column(
     for name, shift in ((unsigned, 0.0), (match["column"], float(match["shift"] or 0))):
         if name in names:
             return name, sign, shift
-        similar = [one for one in names if name.lower() in one.lower()]
+        similar = [known for known in names if name.lower() in known.lower()]
         if len(similar) == 1:
             return similar[0], sign, shift
     return None
@@ -258,17 +258,17 @@ def _interpret_columns(
     for name in map(str, recording.table):
         if name in mapped:
             continue
-        what = column_meaning(name)
-        is_motion = what.kind in ("joint", "hand")
-        is_position = what.kind == "point" and what.axis in ("x", "y", "z")
+        meaning = column_meaning(name)
+        is_motion = meaning.kind in ("joint", "hand")
+        is_position = meaning.kind == "point" and meaning.axis in ("x", "y", "z")
         # a user who names one joint names all, and so with points
         is_replaced = (
             (is_motion and not kinds.isdisjoint(("joint", "hand")))
             or (is_position and "point" in kinds)
-            or (what.kind, "") in mapped_kinds
+            or (meaning.kind, "") in mapped_kinds
         )
-        if what.kind != "other" and not is_replaced:
-            columns.append(SourceColumn(name, what))
+        if meaning.kind != "other" and not is_replaced:
+            columns.append(SourceColumn(name, meaning))
     # x and y without a name, with an angle and without arc lengths, are the hand's
     all_kinds = _kinds_and_axes(columns)
     has_arc = any(kind == "arc" for kind, _ in all_kinds)
@@ -279,8 +279,8 @@ def _interpret_columns(
     ):
         for n, column in enumerate(columns):
             if column.meaning.kind == "point" and not column.meaning.name:
-                what = replace(column.meaning, kind="hand")
-                columns[n] = replace(column, meaning=what)
+                meaning = replace(column.meaning, kind="hand")
+                columns[n] = replace(column, meaning=meaning)
     return columns
 
 
@@ -304,10 +304,10 @@ def _mapped_columns(
             axis = "angle"
         elif kind == "joint":
             axis = ""
-        what = ColumnMeaning(
+        meaning = ColumnMeaning(
             kind, point or role.lstrip("q"), axis, stated_unit(name, kind)
         )
-        columns[name] = SourceColumn(name, what, "--map", sign, shift)
+        columns[name] = SourceColumn(name, meaning, "--map", sign, shift)
     return columns
 
 

@@ -274,10 +274,10 @@ class VelocityArm:
             trips.append(time.monotonic() - start)
         self.round_trips_s = np.array(trips)
         if not np.median(self.round_trips_s) <= self.driving.round_trip:
-            p50, p99, most = np.percentile(self.round_trips_s, [50, 99, 100]) * 1e3
+            p50, p99, longest = np.percentile(self.round_trips_s, [50, 99, 100]) * 1e3
             raise HardwareError(
                 f"arm on {self.wire.port}: a round trip takes {p50:.1f} ms (99 %: "
-                f"{p99:.1f}, longest: {most:.1f} ms), allowed are "
+                f"{p99:.1f}, longest: {longest:.1f} ms), allowed are "
                 f"{self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency "
                 "timer, or change ports."
             )

@@ -123,9 +123,9 @@ class Guard:
             return ""
         steps = np.maximum(np.diff(log.device_time[ticks]), self.arm.tick)
         jump = np.abs(np.diff(log.angles[ticks], axis=0)) - ENCODER_NOISE_RAD
-        most = 2 * np.asarray(self.arm.speed) * steps[:, None]
-        if not (jump <= most).all():
-            joint = (jump - most).max(axis=0).argmax() + 1
+        max_jump = 2 * np.asarray(self.arm.speed) * steps[:, None]
+        if not (jump <= max_jump).all():
+            joint = (jump - max_jump).max(axis=0).argmax() + 1
             return f"the encoder of joint {joint} jumped"
         last = log.last_answered
         offset = np.abs(log.angles[last] - log.expected[last])
@@ -178,7 +178,7 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
         _collect_answers(wire, log, time.monotonic() + DRAIN_S)
 
 
-def _collect_answers(wire: Wire, log: MovementLog, until: float) -> None:
+def _collect_answers(wire: Wire, log: MovementLog, deadline: float) -> None:
     """Record answers until all have come or the moment is over.
 
     It looks once even if it is late.
@@ -186,7 +186,7 @@ def _collect_answers(wire: Wire, log: MovementLog, until: float) -> None:
     while log.pending_ticks:
         for answer in wire.answers():
             _record_answer(log, answer)
-        if time.monotonic() + POLL_S > until:
+        if time.monotonic() + POLL_S > deadline:
             break
         if log.pending_ticks:
             time.sleep(POLL_S)

@@ -95,15 +95,15 @@ class FilmingCamera:
         """
         assert self.film is not None
         assert self.stream is not None
-        until = time.monotonic()
+        end_time = time.monotonic()
         delay = self.source.delay
-        self.film.wait_for(until + delay, delay + LAST_FRAME_MARGIN_S)
+        self.film.wait_for(end_time + delay, delay + LAST_FRAME_MARGIN_S)
         frames = self.film.end()
         remarks = self.stream.remarks
         overrun = self.film.overrun
         if overrun:
             remarks = (*remarks, f"the host was too slow for {overrun} frame(s)")
-        film = RawFilm(frames, until - moved_at, self.film.failure, remarks)
+        film = RawFilm(frames, end_time - moved_at, self.film.failure, remarks)
         return build_recording(
             film, moved_at, delay, 1 / self.camera.fps, self.most_lost
         )
@@ -139,10 +139,10 @@ class BackgroundFilm:
         for thread in self.threads:
             thread.start()
 
-    def wait_for(self, arrival: float, most: float) -> bool:
+    def wait_for(self, arrival: float, timeout: float) -> bool:
         """Wait for a frame that arrived at `arrival` (time.monotonic) or later.
 
-        Returns whether there is one after at most `most` [s].
+        Returns whether there is one after at most `timeout` [s].
         """
 
         def has_arrived() -> bool:
@@ -150,15 +150,15 @@ class BackgroundFilm:
             return bool(frames) and frames[-1].arrival_time >= arrival
 
         with self._changed:
-            self._changed.wait_for(lambda: self._is_over or has_arrived(), most)
+            self._changed.wait_for(lambda: self._is_over or has_arrived(), timeout)
             return has_arrived()
 
     def end(self) -> list[Frame]:
         """End filming and return the frames."""
         self._goes_on.clear()
-        until = time.monotonic() + READ_TIMEOUT_S
+        deadline = time.monotonic() + READ_TIMEOUT_S
         for thread in self.threads:
-            thread.join(max(until - time.monotonic(), 0.0))
+            thread.join(max(deadline - time.monotonic(), 0.0))
         with self._changed:
             return list(self._frames)
 

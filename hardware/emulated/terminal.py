@@ -142,8 +142,8 @@ def command_parser(
     return parser
 
 
-def serve(device: EmulatedDevice, until: float, after: float) -> None:
-    """Serve a device for `until` seconds, or until SIGTERM or the end of its parent.
+def serve(device: EmulatedDevice, duration: float, after: float) -> None:
+    """Serve a device for `duration` seconds, or until SIGTERM or the end of its parent.
 
     Then, or unplugged, it goes on alone for `after` seconds.
     """
@@ -153,7 +153,7 @@ def serve(device: EmulatedDevice, until: float, after: float) -> None:
     tty.setraw(slave)
     print(os.ttyname(slave), flush=True)
     with suppress(UnpluggedError):
-        _exchange_bytes(device, master, time.monotonic() + until, ended)
+        _exchange_bytes(device, master, time.monotonic() + duration, ended)
     os.close(slave)
     os.close(master)
     device.advance(after)

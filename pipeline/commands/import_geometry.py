@@ -349,7 +349,10 @@ def unit_words(
 
 def unit_of_size(size: float) -> str:
     """Return the shortest name of the unit of this size [m]; empty if there is none."""
-    names = [u for u, own in LENGTH_UNITS.items() if np.isclose(own, size, rtol=1e-6)]
+    names = []
+    for name, metres in LENGTH_UNITS.items():
+        if np.isclose(metres, size, rtol=1e-6):
+            names.append(name)
     return min(names, key=len, default="")
 
 

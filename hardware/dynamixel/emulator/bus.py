@@ -99,9 +99,9 @@ class EmulatedServo:
             self.set(BUS_WATCHDOG, WATCHDOG_TRIPPED)
             self.set(GOAL_VELOCITY, 0)
         # an acceleration of zero is no limit
-        most = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP_S or math.inf
+        limit = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP_S or math.inf
         change = self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed
-        self.speed += min(max(change, -most), most)
+        self.speed += min(max(change, -limit), limit)
         if not has_torque or self.get(OPERATING_MODE) != VELOCITY_MODE:
             self.speed = 0.0
         self.joint.step(self.speed)

@@ -132,7 +132,7 @@ def excite(
         )
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
-    best, most = None, -np.inf
+    best, best_information = None, -np.inf
     for number in range(MAX_DRAWS_RATIO * motions):
         if number >= motions and best is not None:
             break
@@ -141,8 +141,8 @@ def excite(
         outcomes[violation or "allowed"] += 1
         if not violation:
             information = alignment_information(model, angles, speeds)
-            if information > most:
-                best, most = angles, information
+            if information > best_information:
+                best, best_information = angles, information
         progress(min((number + 1) / motions, 1.0))
     if best is None:
         counts = [f"{reason}: {count}" for reason, count in outcomes.most_common()]

@@ -92,7 +92,7 @@ def find_converged_string(
 
 
 def _first_within_tolerance(
-    refinements: Iterator[Refinement], tolerance: float, order: int, what: str
+    refinements: Iterator[Refinement], tolerance: float, order: int, refined_part: str
 ) -> tuple[String, float]:
     """Return the first string whose error keeps the tolerance, and that error."""
     smallest = np.inf
@@ -102,10 +102,10 @@ def _first_within_tolerance(
             return string, error
         smallest = min(smallest, error)
     raise ToleranceError(
-        f"the tip cannot be kept within {tolerance * 1e3:.3g} mm by more {what}: the "
-        f"best measured is {smallest * 1e3:.3g} mm. Allow more, choose a gentler "
-        "motion or a string with more damping, set tip_cell and grasp_cell to 0.5, or "
-        "take an integrator without a stability limit "
+        f"the tip cannot be kept within {tolerance * 1e3:.3g} mm by more "
+        f"{refined_part}: the best measured is {smallest * 1e3:.3g} mm. Allow more, "
+        "choose a gentler motion or a string with more damping, set tip_cell and "
+        "grasp_cell to 0.5, or take an integrator without a stability limit "
         "(stages.model.engine.implicit_leapfrog.ImplicitLeapfrog)."
     )
 

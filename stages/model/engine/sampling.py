@@ -85,9 +85,9 @@ def interpolate_ticks(
     result_rows = result.reshape(*positions.shape, -1)
 
     def work(first: int, end: int) -> None:
-        some = slice(first, end)
+        piece = slice(first, end)
         _interpolate_candidates(
-            rows[some], positions[some], ends[some], result_rows[some]
+            rows[piece], positions[piece], ends[piece], result_rows[piece]
         )
 
     parallel_for(work, count, CANDIDATES_PER_PIECE)
@@ -115,8 +115,8 @@ def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarra
     result = np.empty((*points.shape[:2], place.shape[1], 2))
 
     def work(start: int, end: int) -> None:
-        some = slice(start, end)
-        _sum_weighted_points(points[some], first[some], weight[some], result[some])
+        piece = slice(start, end)
+        _sum_weighted_points(points[piece], first[piece], weight[piece], result[piece])
 
     parallel_for(work, len(points), CANDIDATES_PER_PIECE)
     return result

@@ -81,17 +81,17 @@ class Chain:
         """Rest lengths of the segments, (C, n - 1) [m]."""
         return np.repeat(self.segment_length, self.string.points - 1, axis=1)
 
-    def for_candidates(self, which: np.ndarray) -> Chain:
+    def for_candidates(self, candidates: np.ndarray) -> Chain:
         """Return the chains of some candidates, by number."""
         return Chain(
             self.string,
-            self.material[which],
-            self.segment_length[which],
-            self.arc_lengths[which],
-            self.masses[which],
-            self.cells[which],
-            self.rest_curvature[which],
-            self.rest_grasp_angle[which],
+            self.material[candidates],
+            self.segment_length[candidates],
+            self.arc_lengths[candidates],
+            self.masses[candidates],
+            self.cells[candidates],
+            self.rest_curvature[candidates],
+            self.rest_grasp_angle[candidates],
         )
 
 

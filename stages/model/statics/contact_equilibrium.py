@@ -68,9 +68,9 @@ def contact_shape(
     strings = _RelaxingStrings(chain, pose, angles, chain.rest_lengths)
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
-        some = strings.for_candidates(moving)
-        step = some.newton_step
-        fraction = _step_fraction(some, step)
+        moving_strings = strings.for_candidates(moving)
+        step = moving_strings.newton_step
+        fraction = _step_fraction(moving_strings, step)
         strings = strings.with_step(moving, fraction[:, None] * step)
         # Each candidate ends on its own, so that its shape does not depend on its
         # company.
@@ -142,22 +142,22 @@ class _RelaxingStrings:
     angles: np.ndarray
     lengths: np.ndarray
 
-    def for_candidates(self, which: np.ndarray) -> _RelaxingStrings:
+    def for_candidates(self, candidates: np.ndarray) -> _RelaxingStrings:
         return _RelaxingStrings(
-            self.chain.for_candidates(which),
-            self.pose[which],
-            self.angles[which],
-            self.lengths[which],
+            self.chain.for_candidates(candidates),
+            self.pose[candidates],
+            self.angles[candidates],
+            self.lengths[candidates],
         )
 
-    def with_step(self, which: np.ndarray, step: np.ndarray) -> _RelaxingStrings:
-        """Turn and stretch the strings in `which`.
+    def with_step(self, candidates: np.ndarray, step: np.ndarray) -> _RelaxingStrings:
+        """Turn and stretch the strings in `candidates`.
 
         step: (K, 2 n - 2), angles first [rad], then lengths [m].
         """
         angles, lengths = self.angles.copy(), self.lengths.copy()
-        angles[which] += step[:, : angles.shape[1]]
-        lengths[which] += step[:, angles.shape[1] :]
+        angles[candidates] += step[:, : angles.shape[1]]
+        lengths[candidates] += step[:, angles.shape[1] :]
         return replace(self, angles=angles, lengths=lengths)
 
     @cached_property

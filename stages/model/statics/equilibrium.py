@@ -109,16 +109,16 @@ def _free_hanging_shape(
     share = np.ones((len(angles), 1))
     moving = np.arange(len(material))
     for _ in range(MAX_ITERATIONS):
-        some = chain
+        moving_chain = chain
         if moving.size < len(material):
-            some = chain.for_candidates(moving)
+            moving_chain = chain.for_candidates(moving)
         if turns_with_string:
             force[moving] = forces_beyond_segments(
-                some, pose[moving], angles[moving], lengths[moving]
+                moving_chain, pose[moving], angles[moving], lengths[moving]
             )
 
         step, lengths[moving] = _balancing_step(
-            some, pose[moving], angles[moving], lengths[moving], force[moving]
+            moving_chain, pose[moving], angles[moving], lengths[moving], force[moving]
         )
         share[moving] = _damped_share(share[moving], step, last_step[moving])
         angles[moving] += share[moving] * step

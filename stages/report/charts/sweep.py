@@ -83,7 +83,7 @@ def _use_log_scale(axes: Axes) -> None:
         )
 
 
-def target_map(jobs: pd.DataFrame, most: int) -> Picture:
+def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
     """Draw a mark at each target, the darker the fewer casts its median seed needed.
 
     Hollow marks: the median seed did not hit. Crosses: no job ran to its end, mostly
@@ -94,7 +94,7 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
     jobs : DataFrame
         Jobs that finished or failed, with columns target.x and target.y [m], state, hit
         and manipulations.
-    most : int
+    max_casts : int
         Casts of the job with the most.
     """
     needed = jobs["manipulations"].where(jobs["hit"] == 1, np.inf)
@@ -108,7 +108,7 @@ def target_map(jobs: pd.DataFrame, most: int) -> Picture:
         elif np.isinf(casts):
             axes.plot(x, y, "s", mfc="none", mec="before", ms=17)
         else:
-            shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(most - 1, 1)
+            shade = 1 - (1 - MIN_OPACITY) * (casts - 1) / max(max_casts - 1, 1)
             axes.plot(x, y, "s", color="after", alpha=shade, mew=0, ms=18)
             number = f"{casts:.0f}"
             axes.text(x, y, number, color="ink", ha="center", va="center", fontsize=8)

@@ -121,8 +121,8 @@ def _tiles(record: SweepRecord, main: list[Outcome]) -> Tiles:
     for outcome in main:
         (row,) = mean_response(jobs, outcome, ["all"]).to_dict("records")
         unit = " %" if outcome.unit == "%" else ""
-        what = f"{outcome.label}, mean of all finished jobs"
-        tiles.append((format_mean(row) + unit, what))
+        label = f"{outcome.label}, mean of all finished jobs"
+        tiles.append((format_mean(row) + unit, label))
     return Tiles(tiles)
 
 
@@ -172,14 +172,14 @@ def _targets_section(record: SweepRecord) -> Section | None:
     ended = record.jobs[record.jobs["state"].isin(["done", "failed"])]
     if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished_jobs.empty:
         return None
-    most = int(record.finished_jobs["manipulations"].max())
+    max_casts = int(record.finished_jobs["manipulations"].max())
     others = [name for name in record.factors if name not in TARGET_COLUMNS]
     maps = []
     for level, jobs in ended.groupby(others) if others else [((), ended)]:
         title = ", ".join(
             f"{name} {value}" for name, value in zip(others, level, strict=True)
         )
-        picture = target_map(jobs, most)
+        picture = target_map(jobs, max_casts)
         maps.append(Figure(title or "All", picture, picture.alt))
     lead = (
         "A mark at each target. Blue: casts until the tip hit, median of the seeds. "
