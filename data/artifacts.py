@@ -542,7 +542,7 @@ class Surprise:
 
 
 MIN_SHOWN_PROBABILITY = 0.01  # of a cause, in run.json and on pages
-# verdicts with causes that leave much
+# verdicts whose causes leave much of the misfit unexplained
 PARTLY_EXPLAINED = ("partial", "undecided", "unknown")
 EXPLANATIONS = Table(
     "explanations",
@@ -597,8 +597,8 @@ class Explanation(Estimate):
     def model_error_m(self) -> float:
         """Error of the model on motions unlike those of the trials [m].
 
-        Causes that leave much may be stand-ins for another, which fit these trials
-        alone. The error is then that of the model without them.
+        Causes that leave much unexplained may stand in for another cause, and then fit
+        these trials alone. The error is then that of the model without them.
         """
         left_m = super().model_error_m
         if self.verdict not in PARTLY_EXPLAINED:
