@@ -49,7 +49,6 @@ TRUTH = {
     "bending_damping": 5e-3,
     "linear_drag": 0.3,
     "quadratic_drag": 0.2,
-} | {
     "axial_stiffness": 6e5,
     "axial_damping": 30.0,
     "grasp_stiffness": 2.0,

@@ -457,10 +457,8 @@ SUSPICIOUS = {
     "none valid": (none_valid, "points.csv valid", "a blank is false"),
     "two frames": (two_frames, "points.csv t", "takes more frames"),
     "said to be invalid": (
-        *(
-            about(trials={"t03": {"invalid": "it slipped off"}}),
-            "dataset.yaml trials.t03.invalid",
-        ),
+        about(trials={"t03": {"invalid": "it slipped off"}}),
+        "dataset.yaml trials.t03.invalid",
         "Take 'invalid' out",
     ),
     "points beyond": (beyond, "points.csv s, x, y", "Correct string.length"),

@@ -66,7 +66,6 @@ def poisons(canary):
             "file": str(pickled),
             "allow_pickle": True,
         },
-        "source": {"_target_": "os.mkdir", "path": str(canary)},
     }
 
 

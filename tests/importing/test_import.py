@@ -15,7 +15,6 @@ from stringcast.data import dataset
 from stringcast.data.importers.columns import ColumnMeaning, column_meaning
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import gather_tables
-from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.dataset_import import (
     BenchHints,
@@ -32,6 +31,7 @@ from stringcast.pipeline.commands.import_options import (
 )
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.consistency.record import arm_poses
+from tests.importing.test_kinds_of_files import read, write
 
 SAMPLE = ROOT / "data" / "sample"
 BENCH = ("--links", "0.25,0.20,0.135", "--base", "0.2,0.2", "--length", "304mm")
@@ -182,9 +182,9 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
     assert "--unit=tip0.csv=mm" in done.stdout or "--unit tip0.csv=mm" in done.stdout
     assert "--y-down" in done.stdout
     assert "which no joint does in radians" in done.stdout.replace("\n", " ")
-    read = dataset.read_dataset(tmp_path / "mine").trials["t0"]
-    np.testing.assert_allclose(read.points["y"], sample[0][1]["y"], atol=1e-9)
-    np.testing.assert_allclose(read.arm["q1"], sample[0][0]["q1"], atol=1e-9)
+    stored = dataset.read_dataset(tmp_path / "mine").trials["t0"]
+    np.testing.assert_allclose(stored.points["y"], sample[0][1]["y"], atol=1e-9)
+    np.testing.assert_allclose(stored.arm["q1"], sample[0][0]["q1"], atol=1e-9)
 
 
 @pytest.mark.parametrize("together", [False, True], ids=["own file", "one file"])
@@ -342,7 +342,7 @@ def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp
         px_per_m=100.0,
         origin_px=(32.0, 24.0),
     )
-    what = of(*robots, tmp_path / "film.mp4")
+    what = read(*robots, tmp_path / "film.mp4")
     write_dataset(convert_recordings(what, told), tmp_path / "mine", robots, "")
     assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (
         tmp_path / "film.mp4"
@@ -353,22 +353,12 @@ def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp
         convert_recordings(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
-def table(folder, name, **columns):
-    path = folder / name
-    pd.DataFrame(columns).to_csv(path, index=False)
-    return path
-
-
 T = np.arange(5) / 100
 JOINTS = {f"q{j}": np.linspace(0, j, 5) for j in (1, 2, 3)}
 
 
-def of(*files, **said):
-    return gather_tables(read_recordings(files), ColumnHints(**said))
-
-
 def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
-    log = table(
+    log = write(
         tmp_path,
         "log.csv",
         Zeit=T,
@@ -379,7 +369,7 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
         X=1.0,
         Y=2.0,
     )
-    what = of(
+    what = read(
         log,
         columns={
             "t": "Zeit",
@@ -394,9 +384,9 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
     assert what.joints == ["q1", "q2", "q3"]
     assert set(what.points["point"]) == {"tip"}
     with pytest.raises(DataError, match=r"no file has such a column. There are .*Zeit"):
-        of(log, columns={"t": "Zeitt"})
+        read(log, columns={"t": "Zeitt"})
     with pytest.raises(DataError, match="'q' is no name of ours"):
-        of(log, columns={"q": "A_deg"})
+        read(log, columns={"q": "A_deg"})
 
 
 def test_numbers_say_what_names_do_not(tmp_path):
@@ -405,7 +395,7 @@ def test_numbers_say_what_names_do_not(tmp_path):
     Times are scaled by their steps, angles by their range. Dates become seconds;
     guesses of a tracker are not valid.
     """
-    arm = table(
+    arm = write(
         tmp_path,
         "arm.csv",
         stamp=T * 1e9 + 1.7e18,
@@ -414,7 +404,7 @@ def test_numbers_say_what_names_do_not(tmp_path):
         J3=0.0,
     )
     dates = pd.Timestamp("2026-01-31 12:00") + pd.to_timedelta(T, unit="s")
-    tip = table(
+    tip = write(
         tmp_path,
         "tip.csv",
         time=dates,
@@ -422,7 +412,7 @@ def test_numbers_say_what_names_do_not(tmp_path):
         tip_y=0.2,
         tip_likelihood=[1, 0.9, 0.1, 1, 1],
     )
-    what = of(arm, tip)
+    what = read(arm, tip)
     assert what.motion["t"].diff().iloc[1:].round(6).eq(0.01).all()
     assert what.motion["q1"].max() == pytest.approx(100 * pi / 180)
     assert what.motion["q2"].max() == pytest.approx(pi / 180)
@@ -435,16 +425,16 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
         "scorer,net,net,net,net,net,net\nbodyparts,mid,mid,mid,tip,tip,tip\ncoords,x,y,likelihood,x,y,likelihood\n"
         + "".join(f"{n},100,{200 + n},0.99,110,260,0.2\n" for n in range(5))
     )
-    arm = table(tmp_path, "arm.csv", t=T, **JOINTS)
+    arm = write(tmp_path, "arm.csv", t=T, **JOINTS)
     said = {"fps": 200.0, "px_per_m": 100.0, "origin_px": (50.0, 250.0)}
-    points = of(arm, tmp_path / "dlc.csv", **said).points
+    points = read(arm, tmp_path / "dlc.csv", **said).points
     mid = points[points["point"] == "mid"]
     np.testing.assert_allclose(mid[["t", "x", "y"]].iloc[1], (0.005, 0.5, 0.49))
     assert not points[points["point"] == "tip"]["valid"].any()
     with pytest.raises(DataError, match="--fps 200"):
-        of(arm, tmp_path / "dlc.csv")
+        read(arm, tmp_path / "dlc.csv")
     with pytest.raises(DataError, match="--px-per-m 340"):
-        of(arm, tmp_path / "dlc.csv", fps=200.0)
+        read(arm, tmp_path / "dlc.csv", fps=200.0)
     half = np.sqrt(0.5)
     (tmp_path / "take.csv").write_text(
         "Format Version,1.23,Take Name,a,Rotation Type,Quaternion,Length Units,Millimeters\n\n"
@@ -458,13 +448,13 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
         )
     )
     with pytest.raises(DataError, match="--plane x,z"):
-        of(tmp_path / "take.csv")
-    what = of(tmp_path / "take.csv", plane="x,y")
+        read(tmp_path / "take.csv")
+    what = read(tmp_path / "take.csv", plane="x,y")
     np.testing.assert_allclose(
         what.motion[["x", "y", "theta"]].iloc[0], (0.1, 0.2, pi / 2)
     )
     np.testing.assert_allclose(what.points[["x", "y"]].iloc[4], (0.114, 0.05))
-    turned = of(tmp_path / "take.csv", plane="-y,x").motion.iloc[0]
+    turned = read(tmp_path / "take.csv", plane="-y,x").motion.iloc[0]
     np.testing.assert_allclose(turned[["x", "y"]].astype(float), (-0.2, 0.1))
     # what pointed up now points left
     assert np.cos(turned["theta"] - pi) == pytest.approx(1)
@@ -475,14 +465,15 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
 
     Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand.
     """
-    arm = table(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
+    arm = write(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
     hung = {
         f"p{n}_{axis}": 0.6 if axis == "x" else -depth
         for n, depth in ((3, 0.3), (1, 0.1), (2, 0.2))
         for axis in "xy"
     }
     made = convert_recordings(
-        of(arm, table(tmp_path, "track.csv", t=T, **hung)), BenchHints(links=(0.3, 0.3))
+        read(arm, write(tmp_path, "track.csv", t=T, **hung)),
+        BenchHints(links=(0.3, 0.3)),
     )
     assert made.hand_table.name == "grasp"
     np.testing.assert_allclose(
@@ -496,7 +487,7 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         match=r"angles of joints: 2, .* of 3 links.*--links 0.25,0.20 ",
     ):
         convert_recordings(
-            of(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))
+            read(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))
         )
 
 
@@ -537,7 +528,7 @@ def test_what_is_missing_is_named_with_the_option_that_says_it(tmp_path, kind):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     with pytest.raises(DataError, match=message):
-        of(*sorted(tmp_path.iterdir()))
+        read(*sorted(tmp_path.iterdir()))
 
 
 @pytest.mark.parametrize(

@@ -107,8 +107,6 @@ def test_what_pages_show_is_no_mistake(given, plugin):
         "obstacles=none",
         "-v",
         "name=stringB",
-    ]
-    + [
         "plane.folder=flat",
         "source@plane=video",
         "hydra/launcher=joblib",
