@@ -79,8 +79,23 @@ def fit_lens(
         pose = rotation.ravel(), place.ravel()
         poses.append(pose)
         errors.append(view.pixels - project_corners(lens, board, view, *pose))
+    covariance = _lens_covariance(lens, points, poses, np.concatenate(errors))
+    return LensFit(lens, poses, covariance, errors)
 
-    # covariance of the lens, with the pose of each view unknown
+
+def _lens_covariance(
+    lens: Lens, points: Sequence[np.ndarray], poses: Sequence[Pose], errors: np.ndarray
+) -> np.ndarray:
+    """Return the covariance of LENS_PARAMETERS, (8, 8), where no pose is known.
+
+    With the derivatives A of a view's corners by its pose and B by the lens, the view
+    informs of the lens by what of B no pose explains:
+
+        R = B - A A^+ B,    covariance = s^2 (sum of R^T R over the views)^-1.
+
+    s^2 is the mean square of the errors (N, 2) [px] for each degree of freedom. points:
+    corners on the board (K, 3) [m] of each view.
+    """
     information = np.zeros((LENS_PARAMETER_COUNT, LENS_PARAMETER_COUNT))
     for board_points, pose in zip(points, poses, strict=True):
         _, jacobian = cv2.projectPoints(
@@ -90,11 +105,9 @@ def fit_lens(
         along_pose = by_pose @ np.linalg.lstsq(by_pose, by_lens, rcond=None)[0]
         remaining = by_lens - along_pose
         information += remaining.T @ remaining
-    all_errors = np.concatenate(errors)
-    freedom = all_errors.size - LENS_PARAMETER_COUNT - 6 * len(poses)
-    variance_sum = float((all_errors**2).sum())
-    covariance = np.linalg.inv(information) * variance_sum / max(freedom, 1)
-    return LensFit(lens, poses, covariance, errors)
+    freedom = errors.size - LENS_PARAMETER_COUNT - 6 * len(poses)
+    variance_sum = float((errors**2).sum())
+    return np.linalg.inv(information) * variance_sum / max(freedom, 1)
 
 
 def lens_values(lens: Lens) -> np.ndarray:
@@ -142,7 +155,8 @@ def held_out_rms(
 
 def board_pose(lens: Lens, board: Board, view: BoardView) -> Pose:
     """Return rotation vector (3,) [rad] and place (3,) [m] of the board in a view."""
-    points, distortion = _board_points(board, view), np.array(lens.distortion)
+    points = _board_points(board, view)
+    distortion = np.array(lens.distortion)
     known = (points, view.pixels, lens.matrix, distortion)
     _, rotation, place = cv2.solvePnP(*known, flags=cv2.SOLVEPNP_IPPE)
     rotation, place = cv2.solvePnPRefineLM(*known, rotation, place)
@@ -153,7 +167,8 @@ def project_corners(
     lens: Lens, board: Board, view: BoardView, rotation: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
     """Project the corners of a view (N, 2) [px]."""
-    points, distortion = _board_points(board, view), np.array(lens.distortion)
+    points = _board_points(board, view)
+    distortion = np.array(lens.distortion)
     pixels, _ = cv2.projectPoints(points, rotation, place, lens.matrix, distortion)
     corners: np.ndarray = pixels.reshape(-1, 2)
     return corners
