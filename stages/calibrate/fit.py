@@ -7,7 +7,8 @@ Zhang, "A flexible new technique for camera calibration", 2000.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -69,9 +70,10 @@ def fit_lens(
     pixels = [view.pixels.astype(np.float32) for view in views]
     # a third radial coefficient is seldom determined, and bends the edge where
     # nothing was seen
-    _, matrix, distortion, rotations, places = cv2.calibrateCamera(
-        points, pixels, size, None, None, flags=cv2.CALIB_FIX_K3
-    )
+    with _one_opencv_thread():
+        _, matrix, distortion, rotations, places = cv2.calibrateCamera(
+            points, pixels, size, None, None, flags=cv2.CALIB_FIX_K3
+        )
     focal = matrix[[0, 1], [0, 1]]
     lens = lens_from_values([*focal, *matrix[:2, 2], *distortion.ravel()[:4]])
     poses, errors = [], []
@@ -81,6 +83,17 @@ def fit_lens(
         errors.append(view.pixels - project_corners(lens, board, view, *pose))
     covariance = _lens_covariance(lens, points, poses, np.concatenate(errors))
     return LensFit(lens, poses, covariance, errors)
+
+
+@contextmanager
+def _one_opencv_thread() -> Iterator[None]:
+    """Let OpenCV add by one thread: the order of several changes the last digits."""
+    count = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(count)
 
 
 def _lens_covariance(

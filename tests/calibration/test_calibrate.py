@@ -170,6 +170,13 @@ def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
     assert np.abs(z).max() < 4
 
 
+def test_a_calibration_repeats_to_the_bit():
+    """OpenCV adds by several threads, in an order that varies."""
+    views = seen_exactly(np.random.default_rng(3), 0.3)
+    fits = {tuple(lens_values(fit_lens(views, BOARD, SIZE).lens)) for _ in range(12)}
+    assert len(fits) == 1
+
+
 def test_the_covariance_has_the_deviations_that_opencv_gives():
     views = seen_exactly(np.random.default_rng(4), 0.3)
     ours = np.sqrt(np.diag(fit_lens(views, BOARD, SIZE).covariance))
