@@ -145,5 +145,10 @@ def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:
 
 def _bernstein(u: np.ndarray, degree: int) -> np.ndarray:
     """Bernstein polynomials at u (..., 1), (..., degree + 1)."""
-    n = np.arange(degree + 1)
-    return np.asarray(comb(degree, n) * u**n * (1 - u) ** (degree - n))
+    u_powers, rest_powers = np.ones((2, *u.shape[:-1], degree + 1))
+    # products, because powers take several times as long
+    for n in range(degree):
+        u_powers[..., n + 1] = u_powers[..., n] * u[..., 0]
+        rest_powers[..., n + 1] = rest_powers[..., n] * (1 - u[..., 0])
+    choices = comb(degree, np.arange(degree + 1))
+    return np.asarray(choices * u_powers * rest_powers[..., ::-1])

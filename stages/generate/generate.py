@@ -285,7 +285,8 @@ def arm_faults(
     for box in obstacles:
         touched = box.is_crossed_along(arm.joint_positions(angles))
         faults[touched.any(axis=(1, 2))] = "the arm touches an obstacle"
-    hand = np.linalg.norm(arm.grasp_velocity(angles, speeds)[..., :2], axis=-1)
+    velocity = arm.grasp_velocity(angles, speeds)
+    hand = np.sqrt(velocity[..., 0] ** 2 + velocity[..., 1] ** 2)
     commanded = arm.commanded_velocities(angles)
     acceleration = np.abs(np.diff(commanded, axis=1, prepend=0.0)) / arm.tick
     outside = (angles < arm.lowest) | (angles > arm.highest)

@@ -83,24 +83,39 @@ class SimulatedMotions:
     curves : the motions
     samples : the samples
     angles : (M K, T, J) joint angles at the ticks [rad]
-    points : (M K, T, n, 2) points of the string at the ticks [m]
+    simulated : (M K, T, n, 2) simulated points of the string at the ticks [m]
+    error_share : (n,) share of the tip's error that each point has
+    tip_error : (M K, T or 1, 2) error of the simulated tip [m]
     """
 
     curves: Curves
     samples: UncertaintySamples
     angles: np.ndarray
-    points: np.ndarray
+    simulated: np.ndarray
+    error_share: np.ndarray
+    tip_error: np.ndarray
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Positions of the tip at the ticks, with its error, (M K, T, 2) [m]."""
+        return self.simulated[:, :, -1] + self.error_share[-1] * self.tip_error
+
+    @property
+    def points(self) -> np.ndarray:
+        """Points of the string at the ticks, with their error, (M K, T, n, 2) [m]."""
+        errors = self.error_share[:, None] * self.tip_error[:, :, None]
+        return self.simulated + errors
 
     def judge(self, task: CastTask) -> CastOutcome:
         """Judge how near they come to the target of a task, clear of its obstacles."""
         shape = (len(self.curves.duration), len(self.samples))
         end = (self.curves.duration[:, None] - self.samples.lag).ravel()
-        times = np.arange(self.points.shape[1]) * task.model.arm.tick
+        times = np.arange(self.simulated.shape[1]) * task.model.arm.tick
         moving = times <= end[:, None] + 1e-9
-        path = midpoint_tip_path(self.points[:, :, -1])
+        path = midpoint_tip_path(self.tip)
         finite = np.isfinite(path).all(axis=(1, 2))
 
-        arm_touches, string_touches = _contact_ticks(task, self.angles, self.points)
+        arm_touches, string_touches = _contact_ticks(task, self)
         arm_touches &= moving
         string_touches &= moving
         free = ~np.logical_or.accumulate(arm_touches | string_touches, axis=1) & moving
@@ -110,17 +125,21 @@ class SimulatedMotions:
         # nearest point of each segment to the centre, in half widths and half heights
         target = task.target
         scaled = (path - target.centre) / target.half_size
-        start = scaled[:, :-1]
-        segment = np.diff(scaled, axis=1)
-        square = np.sum(segment**2, axis=-1)
-        product = np.sum(start * segment, axis=-1)
+        # coordinate by coordinate: NumPy is slow along an axis of two
+        x, y = scaled[..., 0], scaled[..., 1]
+        segment_x, segment_y = np.diff(x, axis=1), np.diff(y, axis=1)
+        square = segment_x**2 + segment_y**2
+        product = x[:, :-1] * segment_x + y[:, :-1] * segment_y
         share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
-        nearest = start + share[..., None] * segment
-        distance = np.hypot(nearest[..., 0], nearest[..., 1])
-        half_tick = task.model.arm.tick / 2
-        velocity = np.diff(path, axis=1) / half_tick
-        arrival_error = target.arrival_error(velocity)
-        distance = np.hypot(distance, arrival_error)
+        nearest_x = x[:, :-1] + share * segment_x
+        nearest_y = y[:, :-1] + share * segment_y
+        distance = np.hypot(nearest_x, nearest_y)
+        arrival_error = np.zeros_like(distance)
+        if target.restricts_arrival:
+            half_tick = task.model.arm.tick / 2
+            velocity = np.diff(path, axis=1) / half_tick
+            arrival_error = target.arrival_error(velocity)
+            distance = np.hypot(distance, arrival_error)
         least = np.where(counts, distance, np.inf).min(axis=1)
 
         hit = finite & ~arm_touches.any(axis=1) & (least <= FARTHEST_HIT)
@@ -188,11 +207,10 @@ def simulate_motions(
     motion = sample_joint_motions(model, curves, samples)
     times = np.arange(motion.angles.shape[1]) * model.arm.tick
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
-    points = model.simulate_string(motion, repeated.values, times).points
+    simulated = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
     errors = tip_errors(task.misfit, curves, samples.tip_sigma, samples.tip_normal)
-    points += share[:, None] * errors[:, :, None]
-    return SimulatedMotions(curves, samples, motion.angles, points)
+    return SimulatedMotions(curves, samples, motion.angles, simulated, share, errors)
 
 
 def tip_errors(
@@ -266,16 +284,17 @@ def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
 
 
 def _contact_ticks(
-    task: CastTask, angles: np.ndarray, points: np.ndarray
+    task: CastTask, motions: SimulatedMotions
 ) -> tuple[np.ndarray, np.ndarray]:
     """Ticks at which the arm and the string touch an obstacle, (C, T) each.
 
     The tip's path from the tick before belongs to the string.
     """
-    arm, string = np.zeros((2, *points.shape[:2]), dtype=bool)
+    arm, string = np.zeros((2, *motions.simulated.shape[:2]), dtype=bool)
     if not task.obstacles:
         return arm, string
-    joints = task.model.arm.joint_positions(angles)
+    joints = task.model.arm.joint_positions(motions.angles)
+    points = motions.points
     tip = points[:, :, -1]
     lowest, highest = points.min(axis=2), points.max(axis=2)
     for box in task.obstacles:

@@ -103,10 +103,10 @@ def likely_boxes(
     target = task.target
     boxes = []  # distance from the target [m], number of the motion, centre [m]
     for number, motion in enumerate(motions):
-        finite = np.isfinite(motion.points).all(axis=(1, 2, 3))
+        finite = np.isfinite(motion.simulated).all(axis=(1, 2, 3))
         if not finite.any():
             continue
-        tips = motion.points[finite, :, -1]  # (K, T, 2)
+        tips = motion.tip[finite]  # (K, T, 2)
         typical_tip = np.median(tips, axis=0)
         distances = target.distance_to_centre(typical_tip)
         near = (np.abs(tips - typical_tip) <= 2 * target.half_size).all(axis=-1)

@@ -123,11 +123,31 @@ class Arm:
         angles, speeds : ndarray of shape (..., J)
             Joint angles [rad] and speeds [rad/s].
         """
-        rate = np.zeros((*angles.shape[:-1], 3))
-        direction = np.zeros(angles.shape[:-1])
+        _, rate = self.grasp_pose_and_velocity(angles, speeds)
+        return rate
+
+    def grasp_pose_and_velocity(
+        self, angles: np.ndarray, speeds: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return `grasp_pose` and its rate `grasp_velocity`, (..., 3) each.
+
+        Parameters
+        ----------
+        angles, speeds : ndarray of shape (..., J)
+            Joint angles [rad] and speeds [rad/s].
+        """
+        shape = angles.shape[:-1]
+        direction, turn_rate, velocity_x, velocity_y = np.zeros((4, *shape))
+        x, y = np.full(shape, self.base[0]), np.full(shape, self.base[1])
         for joint, link in enumerate(self.links):
             direction += angles[..., joint]
-            rate[..., 2] += speeds[..., joint]
-            rate[..., 0] -= link * rate[..., 2] * np.sin(direction)
-            rate[..., 1] += link * rate[..., 2] * np.cos(direction)
-        return rate
+            turn_rate += speeds[..., joint]
+            sine, cosine = np.sin(direction), np.cos(direction)
+            x += link * cosine
+            y += link * sine
+            link_speed = link * turn_rate
+            velocity_x -= link_speed * sine
+            velocity_y += link_speed * cosine
+        pose = np.stack([x, y, direction], axis=-1)
+        rate = np.stack([velocity_x, velocity_y, turn_rate], axis=-1)
+        return pose, rate

@@ -166,8 +166,7 @@ class JointMotion:
 
     def hand_motion(self, arm: Arm) -> HandMotion:
         """Return the hand's motion by an arm's forward kinematics."""
-        pose = arm.grasp_pose(self.angles)
-        rate = arm.grasp_velocity(self.angles, self.speeds)
+        pose, rate = arm.grasp_pose_and_velocity(self.angles, self.speeds)
         return HandMotion(self.start, self.tick, pose, rate)
 
     def actual_joint_motion(self, effects: Sequence[HandEffectValues]) -> JointMotion:
