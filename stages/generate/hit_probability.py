@@ -98,13 +98,14 @@ class SimulatedMotions:
     @property
     def tip(self) -> np.ndarray:
         """Positions of the tip at the ticks, with its error, (M K, T, 2) [m]."""
-        return self.simulated[:, :, -1] + self.error_share[-1] * self.tip_error
+        error = self.error_share[-1] * self.tip_error
+        return np.asarray(self.simulated[:, :, -1] + error)
 
     @property
     def points(self) -> np.ndarray:
         """Points of the string at the ticks, with their error, (M K, T, n, 2) [m]."""
         errors = self.error_share[:, None] * self.tip_error[:, :, None]
-        return self.simulated + errors
+        return np.asarray(self.simulated + errors)
 
     def judge(self, task: CastTask) -> CastOutcome:
         """Judge how near they come to the target of a task, clear of its obstacles."""
