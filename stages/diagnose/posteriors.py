@@ -23,6 +23,7 @@ from stringcast.stages.diagnose.background_effects import (
 )
 from stringcast.stages.diagnose.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.measures import (
+    in_different_places,
     refit,
     tip_shift_rms,
     unexplained_tip_rms,
@@ -237,14 +238,11 @@ def _compare_alternatives(
     seed: int,
 ) -> SelectionStep:
     """Compare what else may be in the place of a cause, the others staying."""
-    # The last cause was compared with all others when it was accepted
     hypothesis = state.fit.hypothesis
     if cause is hypothesis.causes[-1]:
-        for step in state.steps:
-            best = step.best
-            names = () if best is None else best.hypothesis.cause_names
-            if step.accepted and names == hypothesis.cause_names:
-                return step
+        step = _comparison_at_acceptance(state)
+        if step is not None:
+            return step
     data = state.prepared.data
     others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)
@@ -259,6 +257,26 @@ def _compare_alternatives(
         seed,
         contested,
     )
+
+
+def _comparison_at_acceptance(state: SelectionState) -> SelectionStep | None:
+    """Return the step that accepted the last cause, unless the fit has moved since.
+
+    Where the string is another, it leaves other things to explain, and another cause
+    may explain them.
+    """
+    data = state.prepared.data
+    hypothesis = state.fit.hypothesis
+    for step in state.steps:
+        best = step.best
+        if best is None or not step.accepted:
+            continue
+        if best.hypothesis.cause_names == hypothesis.cause_names:
+            chi = hypothesis.exponents_from(best.exponents)
+            as_accepted = evaluate_fit(data, hypothesis, chi)
+            has_moved = len(in_different_places([state.fit, as_accepted])) > 1
+            return None if has_moved else step
+    return None
 
 
 def bootstrap_weights(trials: int, seed: int) -> np.ndarray:

@@ -430,25 +430,31 @@ def test_an_effect_is_included_if_it_is_in_one_place_or_another():
 
 
 @pytest.mark.parametrize(
-    ("best", "accepted", "cause", "is_known"),
+    ("best", "accepted", "cause", "places", "is_known"),
     [
-        (None, False, "b", False),
-        (("a", "c"), True, "b", False),
-        (("a", "b"), False, "b", False),
-        (("a", "b"), True, "b", True),
-        (("a", "b"), True, "a", False),  # it was compared without the other
+        (None, False, "b", 1, False),
+        (("a", "c"), True, "b", 1, False),
+        (("a", "b"), False, "b", 1, False),
+        (("a", "b"), True, "b", 1, True),
+        (("a", "b"), True, "b", 2, False),  # the fit has moved to another place
+        (("a", "b"), True, "a", 1, False),  # it was compared without the other
     ],
 )
 def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
-    best, accepted, cause, is_known, monkeypatch
+    best, accepted, cause, places, is_known, monkeypatch
 ):
     others = SimpleNamespace(
         with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
     )
     hypothesis = SimpleNamespace(
-        causes=("a", "b"), cause_names=("a", "b"), without_cause=lambda cause: others
+        causes=("a", "b"),
+        cause_names=("a", "b"),
+        without_cause=lambda cause: others,
+        exponents_from=lambda known: None,
     )
-    fit = best and SimpleNamespace(hypothesis=SimpleNamespace(cause_names=best))
+    fit = best and SimpleNamespace(
+        hypothesis=SimpleNamespace(cause_names=best), exponents={}
+    )
     first = SimpleNamespace(best=None, accepted=False)
     last = SimpleNamespace(best=fit, accepted=accepted)
     state = SimpleNamespace(
@@ -458,6 +464,7 @@ def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
     )
     for name in ("evaluate_fit", "refit"):
         monkeypatch.setattr(posteriors, name, lambda *given: None)
+    monkeypatch.setattr(posteriors, "in_different_places", lambda fits: fits[:places])
     monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
     found = posteriors._compare_alternatives(state, cause, (), None, 0)
     assert found is (last if is_known else "compared")
