@@ -53,6 +53,7 @@ from stringcast.stages.model.parameter import parameter_values
 # 1 mm of error at the tip in a plain cast, which is corrected
 SEGMENTS = 20
 STEP_S = 1e-3
+LONGEST_STEP_S = 4e-3  # where the motion is gentle (`time_step`)
 MAX_CORRECTION_PASSES = 8  # it mostly takes two
 # Of the uncertainty of an error to the error itself. Extrapolation takes an error to
 # fall by 4 as segments are halved (order 2). If it falls by 2^p, |4 / 2^p - 1| / 4 of
@@ -60,10 +61,12 @@ MAX_CORRECTION_PASSES = 8  # it mostly takes two
 MAX_UNCERTAINTY_RATIO = 0.25
 
 
-def with_second_order_mesh(model: Model) -> Model:
+def with_second_order_mesh(model: Model, step_s: float = STEP_S) -> Model:
     """Replace the mesh by half cells at the ends and implicit steps.
 
     The error of the mass points is then of second order, and extrapolates.
+
+    step_s: of time, at most [s].
     """
     string = replace(
         model.string,
@@ -71,7 +74,7 @@ def with_second_order_mesh(model: Model) -> Model:
         tip_cell=0.5,
         grasp_cell=0.5,
         integrator=ImplicitLeapfrog(),
-        largest_step=STEP_S,
+        largest_step=step_s,
     )
     return replace(model, string=string)
 
@@ -151,8 +154,18 @@ def discretisation_uncertainty_of(prepared: PreparedData, fit: Fit) -> np.ndarra
     """
     if prepared.mesh_is_model:
         return np.zeros(len(prepared.trials))
-    _, uncertainties = _extrapolate_errors(prepared.trials, fit.hypothesis, fit.chi)
-    return prepared.data.tip_rms_by_trial(uncertainties)
+    return discretisation_uncertainty(prepared.trials, fit.hypothesis, fit.chi)
+
+
+def discretisation_uncertainty(
+    trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
+) -> np.ndarray:
+    """Compute how uncertain the discretisation error is at each trial's tip [m], (K,).
+
+    chi: exponents of the hypothesis, (P,).
+    """
+    _, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
+    return TrialData(tuple(trials)).tip_rms_by_trial(uncertainties)
 
 
 def _extrapolate_errors(

@@ -33,6 +33,7 @@ from stringcast.stages.diagnose.prepared_data import (
     with_initial_states_of,
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
+from stringcast.stages.diagnose.time_step import lengthen_steps_while_accurate
 from stringcast.stages.diagnose.used_frames import (
     thin_frames,
     trim_trailing_rest,
@@ -130,6 +131,7 @@ def prepare_data(
     # Base model; its residuals determine outliers and noise
     likelihood = Likelihood(TrialData(tuple(chosen)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
+    likelihood = lengthen_steps_while_accurate(likelihood, chi, tolerance_m)
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
     # Discretisation error, discrepancy model, and the fit by its evidence

@@ -333,3 +333,14 @@ def is_position_dependent(effect: type[Effect]) -> bool:
     """Return whether one of an effect's laws depends on where the string is."""
     place = {"x", "y"} - {parameter.name for parameter in effect.parameters}
     return any(place & set(law_arguments(law)) for law in effect.laws().values())
+
+
+@cache
+def acts_abruptly(effect: type[Effect]) -> bool:
+    """Return whether an effect sets in or turns at moments that steps must catch.
+
+    So do contacts, and memory where the motion turns back: the error of a step is of
+    first order there.
+    """
+    has_memory = any("memory" in slot for slot in effect.laws())
+    return has_memory or is_position_dependent(effect)
