@@ -13,10 +13,9 @@ from stringcast.data.artifacts import Estimate, Motion
 from stringcast.stages.generate.curves import curves_from_motion
 from stringcast.stages.generate.hit_probability import tip_errors
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
+from stringcast.stages.inference.likelihood import BLOCK_S
 from stringcast.stages.inference.mesh import REFERENCE_REFINEMENT, refine_mesh
 from stringcast.stages.inference.prepared_trial import PreparedTrial
-
-SAMPLES = 100
 
 
 def predict_tips(
@@ -26,9 +25,9 @@ def predict_tips(
     estimate: Estimate,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Predict the tip at a trial's frames under samples of an estimate, (K, F, 2) [m].
+    """Predict the tip at a trial's frames under draws of an estimate, (K, F, 2) [m].
 
-    Samples whose simulation diverges are left out.
+    Draws whose simulation diverges are left out.
 
     Parameters
     ----------
@@ -44,29 +43,50 @@ def predict_tips(
         Source of randomness.
     """
     model = trial.model
-    chosen = rng.permutation(len(estimate.draws))[:SAMPLES]
-    draws = estimate.draws.iloc[chosen].to_dict("records")
+    draws = estimate.draws.to_dict("records")
     values = np.stack([model.values(draw) for draw in draws])
     best = model.values(estimate.values())[None]
     tips = _simulate_tips(trial, values)
     tips = tips[np.isfinite(tips).all(axis=(1, 2))]
 
-    # parameters take up an unknown part of the mesh's error
+    # parameters take up an unknown part of the mesh's error, about half of it
     _, finer = refine_mesh(model, [trial], REFERENCE_REFINEMENT)
     mesh_error = _simulate_tips(trial, best) - _simulate_tips(finer[0], best)
-    amplitude = rng.standard_normal((len(tips), 1, 1))
-    tips += amplitude * np.nan_to_num(mesh_error)
+    part_left = 0.5 + 0.5 * draw_slow_noise(rng, len(tips), trial.times)
+    tips -= part_left[..., None] * np.nan_to_num(mesh_error)
 
-    misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
     # what the estimate left, less the noise of the points
     noise = np.median(trial.sigma)
     variance = max(estimate.model_error_m**2 / 2 - noise**2, 0.0)
     normal = rng.standard_normal((len(tips), 2))
     curves = curves_from_motion(motion)
+    misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
     errors = tip_errors(misfit, curves, float(np.sqrt(variance)), normal)
     ticks = np.round(trial.times / model.arm.tick).astype(int)
     tips += errors[:, np.clip(ticks, 0, errors.shape[1] - 1)]
+
+    # the last misfit was measured, with noise
+    if misfit is not None:
+        likeness = misfit.correlation(curves, float(curves.duration.max()))[0]
+        sigma = noise * likeness[np.clip(ticks, 0, len(likeness) - 1)]
+        tips += sigma[:, None] * rng.standard_normal(tips.shape)
     return np.asarray(tips)
+
+
+def draw_slow_noise(
+    rng: np.random.Generator, count: int, times: np.ndarray
+) -> np.ndarray:
+    """Draw normal noise at times (F,) [s] that forgets within a block, (count, F).
+
+    Its variance is 1. What a model misses is alike within a block of time
+    (`stages.estimate.posterior`).
+    """
+    noise = rng.standard_normal((count, len(times)))
+    kept = np.exp(-np.diff(times) / BLOCK_S)
+    for frame, share in enumerate(kept):
+        fresh = np.sqrt(1 - share**2) * noise[:, frame + 1]
+        noise[:, frame + 1] = share * noise[:, frame] + fresh
+    return noise
 
 
 def _simulate_tips(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:

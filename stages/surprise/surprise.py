@@ -1,9 +1,14 @@
 """Test of a trial against what the estimate before it predicts.
 
-The measured path of the tip and those predicted by samples of the posterior are
-compared as one set. If the trial comes from the model, the measured path is one more
-sample, and each rank of its distance is equally likely: the p-value is exact, whatever
-the distance (a Monte Carlo test; Besag and Clifford, Biometrika 78, 301, 1991).
+The measured path of the tip and those predicted by draws of the posterior are compared
+as one set. If the trial comes from the model, the measured path is one more draw, and
+each rank of its distance is equally likely: the p-value is exact, whatever the distance
+(a Monte Carlo test; Besag and Clifford, Biometrika 78, 301, 1991).
+
+The distance is that from the paths most alike. Frames of a path are not independent, so
+a path that strays a little from what the parameters can do is noticed, also where they
+can do much. The test ends when the tip should hit: what follows decides nothing, and
+small differences grow there until neither draws nor mesh follow the string.
 """
 
 from __future__ import annotations
@@ -29,9 +34,10 @@ from stringcast.stages.spec import StageCall
 from stringcast.stages.surprise.prediction import predict_tips
 
 ALARM_P_VALUE = 0.02  # share of false alarms
-MIN_DRAWS = 50  # fewer cannot show so small a share
+NEIGHBOURS = 50  # paths most alike: several times as many as there are parameters
+MIN_DRAWS = 2 * NEIGHBOURS  # fewer have no neighbours of their own
 MIN_FRAMES = 5  # fewer readings of the tip show nothing
-MIN_SPREAD_M = 5e-4  # of predictions and noise together: rounding is no surprise
+MIN_SIGMA_M = 5e-4  # of a coordinate: rounding is no surprise
 
 
 def run(
@@ -46,8 +52,8 @@ def run(
     if not motion.is_cast or estimate is None or estimate.draws.empty:
         return describe_missing_test("Nothing was known of the string before.")
     readings = points.readings
-    is_moving = readings["t"].between(0, motion.duration)
-    read = readings[readings["valid"].astype(bool) & is_moving]
+    is_before_hit = readings["t"].between(0, motion.outcome["t_hit"].iloc[0])
+    read = readings[readings["valid"].astype(bool) & is_before_hit]
     if len(read) < MIN_FRAMES:
         return describe_missing_test(
             "Too few frames were read to compare the tip with its prediction."
@@ -71,12 +77,12 @@ def measure_surprise(
     sigma: np.ndarray,
     rng: np.random.Generator,
 ) -> Surprise:
-    """Test whether the measured tip is within what samples predict.
+    """Test whether the measured tip is within what draws predict.
 
     Parameters
     ----------
     predicted : (K, F, 2) array
-        Tips that samples predict [m].
+        Tips that draws predict [m].
     measured : (F, 2) array
         Tips that were read [m].
     sigma : (F,) array
@@ -87,20 +93,21 @@ def measure_surprise(
     Returns
     -------
     Surprise
-        The p-value; NaN with too few samples.
+        The p-value; NaN with too few draws.
     """
     draws = len(predicted)
     if draws < MIN_DRAWS:
-        return describe_missing_test("Too few samples could be simulated.")
+        return describe_missing_test("Too few strings could be simulated.")
     noise = rng.standard_normal(predicted.shape) * sigma[:, None]
-    distances = path_distances(np.concatenate([measured[None], predicted + noise]))
+    paths = np.concatenate([measured[None], predicted + noise])
+    distances = distances_from_neighbours(paths, sigma)
     as_far = int((distances[1:] >= distances[0]).sum())
     p_value = (1 + as_far) / (1 + draws)
     apart_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
     sentence = (
-        f"The tip was up to {MM_PER_M * apart_m.max():.0f} mm from its predicted path; "
-        f"{as_far} of {draws} predictions lie as far from the others "
-        f"(p = {p_value:.2f})."
+        f"Until the planned hit, the tip was up to {MM_PER_M * apart_m.max():.0f} mm "
+        f"from its predicted path; {as_far} of {draws} predictions are as far from "
+        f"those most alike (p = {p_value:.2f})."
     )
     is_surprising = p_value <= ALARM_P_VALUE
     sentence += " The trial is a surprise." if is_surprising else ""
@@ -114,15 +121,32 @@ def describe_missing_test(reason: str) -> Surprise:
     return _describe(0, 0, reason)
 
 
-def path_distances(paths: np.ndarray) -> np.ndarray:
-    """Measure how far each of K paths (K, F, 2) lies from all, over their spread, (K,).
+def distances_from_neighbours(paths: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Measure how far each of K paths (K, F, 2) lies from those most alike, (K,).
 
-    Mean and spread are those of all K paths together, so that no path is special.
+    This is the Mahalanobis distance from the nearest NEIGHBOURS, with their covariance
+    and that of noise (F,) [m]; 1 per coordinate for noise alone. It is small along what
+    the neighbours do differently. All paths are treated alike, so none is special.
     """
-    mean = paths.mean(axis=0)
-    spread = np.sqrt(paths.var(axis=0).sum(axis=-1) + MIN_SPREAD_M**2)  # (F,)
-    apart = np.linalg.norm(paths - mean, axis=-1) / spread
-    return np.asarray(np.sqrt(np.mean(apart**2, axis=1)))
+    scaled = paths / np.maximum(sigma, MIN_SIGMA_M)[:, None]
+    scaled = scaled.reshape(len(paths), -1)  # (K, 2 F)
+    squares = np.sum(scaled**2, axis=1)
+    apart = squares[:, None] + squares - 2 * scaled @ scaled.T
+    np.fill_diagonal(apart, np.inf)
+    nearest = np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
+
+    distances = np.empty(len(paths))
+    for number, path in enumerate(scaled):
+        neighbours = scaled[nearest[number]]
+        mean = neighbours.mean(axis=0)
+        offset = path - mean
+        spread = (neighbours - mean) / np.sqrt(NEIGHBOURS)
+        # the inverse of 1 + spread' spread, by the matrix inversion lemma
+        along = spread @ offset
+        kernel = np.eye(NEIGHBOURS) + spread @ spread.T
+        square = offset @ offset - along @ np.linalg.solve(kernel, along)
+        distances[number] = np.sqrt(square / len(path))
+    return distances
 
 
 def _describe(

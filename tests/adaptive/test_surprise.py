@@ -14,11 +14,20 @@ from stringcast.data.artifacts import (
     Motion,
     Points,
 )
-from stringcast.stages.generate.curves import plain_cast
+from stringcast.stages.generate.curves import curves_from_motion, plain_cast
 from stringcast.stages.generate.generate import command_table, control_point_table
+from stringcast.stages.generate.repeated_misfit import hand_paths
+from stringcast.stages.inference.likelihood import BLOCK_S
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.surprise.surprise import ALARM_P_VALUE, measure_surprise, run
+from stringcast.stages.surprise.prediction import draw_slow_noise
+from stringcast.stages.surprise.surprise import (
+    ALARM_P_VALUE,
+    NEIGHBOURS,
+    distances_from_neighbours,
+    measure_surprise,
+    run,
+)
 from tests.conftest import implicit_string
 
 DRAWS = 100
@@ -62,6 +71,55 @@ def test_a_tip_that_is_off_by_more_than_the_box_is_a_surprise():
     assert sum(surprise.is_surprising for surprise in surprises(0.02, 40)) >= 38
 
 
+def circular_paths(rng, count, length_m=0.3):
+    """Return paths (count, F, 2) [m] of a tip that turns by an unknown angle."""
+    turn = rng.uniform(-1, 1, (count, 1)) * FRAME_TIMES / DURATION_S
+    return length_m * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+
+
+def is_surprising(predicted, path, rng):
+    """Tell whether a measured path is a surprise."""
+    measured = path + rng.normal(0, NOISE_M, path.shape)
+    return measure_surprise(predicted, measured, SIGMA_M, rng).is_surprising
+
+
+def test_a_tip_off_what_parameters_can_do_is_a_surprise_where_they_can_do_much():
+    rng = np.random.default_rng(1)
+    predicted = circular_paths(rng, 4 * NEIGHBOURS)
+    found = [is_surprising(predicted, path, rng) for path in circular_paths(rng, 20)]
+    assert sum(found) <= 2
+    longer = circular_paths(rng, 20, length_m=0.305)
+    assert all(is_surprising(predicted, path, rng) for path in longer)
+
+
+def test_all_paths_are_treated_alike():
+    rng = np.random.default_rng(2)
+    paths = rng.normal(0, 5e-3, (DRAWS + 1, *tip_paths(rng, 1).shape[1:]))
+    order = rng.permutation(len(paths))
+    distances = distances_from_neighbours(paths, SIGMA_M)
+    permuted = distances_from_neighbours(paths[order], SIGMA_M)
+    assert permuted == pytest.approx(distances[order])
+
+
+def test_a_distance_is_that_of_mahalanobis():
+    rng = np.random.default_rng(3)
+    neighbours = tip_paths(rng, NEIGHBOURS)
+    path = tip_paths(rng, 1)[0] + 0.01
+    scaled = (neighbours / NOISE_M).reshape(NEIGHBOURS, -1)
+    covariance = np.eye(scaled.shape[1]) + np.cov(scaled.T, bias=True)
+    offset = (path / NOISE_M).ravel() - scaled.mean(axis=0)
+    square = offset @ np.linalg.solve(covariance, offset) / len(offset)
+    paths = np.concatenate([path[None], neighbours])
+    distance = distances_from_neighbours(paths, SIGMA_M)[0]
+    assert distance == pytest.approx(np.sqrt(square))
+
+
+def test_slow_noise_forgets_within_a_block():
+    noise = draw_slow_noise(np.random.default_rng(4), 20_000, FRAME_TIMES)
+    lag = np.abs(FRAME_TIMES[:, None] - FRAME_TIMES)
+    assert np.cov(noise.T) == pytest.approx(np.exp(-lag / BLOCK_S), abs=0.04)
+
+
 def joint_angles(motion, late_s=0.0, gain=1.0):
     """Return the joint angles of an arm that is late and turns too far."""
     t = motion.commands["t"].to_numpy()
@@ -89,40 +147,52 @@ def read_tip(model, arm, rng):
     return Points(*tables, MASKS.empty())
 
 
-def planned_cast(arm):
-    """Return a cast as it is planned."""
+def planned_cast(arm, t_hit=DURATION_S):
+    """Return a cast as it is planned, with the time of its hit [s]."""
     curves = plain_cast(arm, DURATION_S)
     empty = [Motion.TABLES[name].empty() for name in ("string", "attempts")]
-    outcome = pd.DataFrame([{"duration": DURATION_S}])
+    outcome = pd.DataFrame([{"duration": DURATION_S, "t_hit": t_hit}])
     commands, points = command_table(arm, curves), control_point_table(curves)
     return Motion(commands, points, *empty, outcome)
 
 
-def known_to_some_percent(model, rng, draws=DRAWS):
-    """Return an estimate of the right values."""
+def known_to(model, rng, share, draws=DRAWS, misfit=None):
+    """Return an estimate of the right values, known to a share of them."""
     values = model.values({})
-    scale = np.exp(0.03 * rng.standard_normal((draws, len(values))))
+    scale = np.exp(share * rng.standard_normal((draws, len(values))))
     return SimpleNamespace(
         values=lambda: dict(zip(model.names, values, strict=True)),
         draws=pd.DataFrame(values * scale, columns=model.names),
         model_error_m=np.sqrt(2) * NOISE_M,
-        misfit=pd.DataFrame(),
+        misfit=pd.DataFrame() if misfit is None else misfit,
     )
+
+
+def noise_of_last_cast(arm, motion, rng):
+    """Return what the noise of the points leaves after a cast that is explained."""
+    curves = curves_from_motion(motion)
+    hand = hand_paths(arm, curves, DURATION_S)[0]
+    ticks = arm.tick * np.arange(len(hand))
+    noise = rng.normal(0, NOISE_M, (2, len(FRAME_TIMES)))
+    columns = {"t": FRAME_TIMES, "x": noise[0], "y": noise[1]}
+    for name, path in zip(("hand_x", "hand_y"), hand.T, strict=True):
+        columns[name] = np.interp(FRAME_TIMES, ticks, path)
+    return pd.DataFrame(columns)
 
 
 @pytest.fixture
 def tested(arm, camera):
     """Return the surprise of a cast whose arm reports something and does another."""
     model = Model(implicit_string(20, 1e-3), arm, camera)
-    motion = planned_cast(arm)
     rng = np.random.default_rng(0)
 
-    def test(reported, performed, draws=DRAWS, readable=True):
+    def test(reported, performed, draws=DRAWS, readable=True, t_hit=DURATION_S):
+        motion = planned_cast(arm, t_hit)
         points = read_tip(model, performed(motion), rng)
         readings = points.readings.assign(valid=readable)
         points = Points(points.points, readings, points.masks)
         call = SimpleNamespace(seed=0, setup=SimpleNamespace(model=model))
-        estimate = known_to_some_percent(model, rng, draws)
+        estimate = known_to(model, rng, 0.03, draws)
         trial = SimpleNamespace(arm=reported(motion))
         return run(call, motion, trial, points, None, estimate)
 
@@ -145,6 +215,34 @@ def test_an_arm_that_reports_what_it_does_is_no_surprise(tested, moved):
 @pytest.mark.parametrize("moved", [turning_too_far, late])
 def test_an_arm_that_does_something_else_is_a_surprise(tested, moved):
     assert tested(reported=joint_angles, performed=moved).is_surprising
+
+
+def straying(motion):
+    """Return joint angles that differ from the planned ones in the second half."""
+    planned = joint_angles(motion)
+    beyond = np.maximum(planned["t"] - DURATION_S / 2, 0)
+    return planned.assign(**{joint: planned[joint] + 4 * beyond for joint in JOINTS})
+
+
+def test_what_follows_the_planned_hit_is_no_surprise(tested):
+    assert tested(joint_angles, straying).is_surprising
+    assert not tested(joint_angles, straying, t_hit=DURATION_S / 2).is_surprising
+
+
+def test_noise_of_the_last_cast_is_no_surprise_in_the_next(arm, camera):
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    motion = planned_cast(arm, t_hit=0.2)  # until then the mesh resolves the string
+    joints = joint_angles(motion)
+    rng = np.random.default_rng(5)
+    call = SimpleNamespace(seed=0, setup=SimpleNamespace(model=model))
+    trial = SimpleNamespace(arm=joints)
+    found = []
+    for _ in range(20):
+        last = noise_of_last_cast(arm, motion, rng)
+        estimate = known_to(model, rng, 1e-4, misfit=last)
+        points = read_tip(model, joints, rng)
+        found.append(run(call, motion, trial, points, motion, estimate))
+    assert sum(surprise.is_surprising for surprise in found) <= 2
 
 
 def test_nothing_is_said_without_predictions_or_readings(tested):
