@@ -120,7 +120,13 @@ def measurements_of_tables(
         recordings.append(Recording(str(name), t, joints, hand, tracks, moving))
     if not recordings:
         return None
-    return Measurements(tuple(recordings), bench.links, bench.base, bench.length)
+    return Measurements(
+        tuple(recordings),
+        bench.links,
+        bench.base,
+        bench.length,
+        base_is_measured=bench.geometry_is_measured,
+    )
 
 
 def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:

@@ -300,6 +300,11 @@ class CheckedDataset:
             if lost <= MAX_LOST_SHARE and not trial.is_undersampled:
                 yield trial
 
+    @property
+    def geometry_is_measured(self) -> bool:
+        """Whether arm, string and directions are stated to be measured."""
+        return self.data.metadata.get("geometry") == "measured"
+
     def metadata_block(self, name: str) -> Mapping[str, Any]:
         """Return a block of dataset.yaml, which may be empty or missing."""
         return self.data.metadata.get(name) or {}

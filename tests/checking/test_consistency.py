@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from stringcast.pipeline.commands.import_geometry import option_words
 from stringcast.stages.check.consistency.arm_place import base_corrections
@@ -16,11 +17,27 @@ from stringcast.stages.check.consistency.corrections import (
 )
 from stringcast.stages.check.consistency.judge import judge, reason_beside_geometry
 from stringcast.stages.check.consistency.limits import broken_limits
+from stringcast.stages.check.consistency.prediction import STIFFNESS_LADDER, ladder
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import find_answer
 from stringcast.stages.check.finding import Severity
+from stringcast.stages.common import GRAVITY_M_S2
+from stringcast.stages.model.engine.simulate import simulate
+from stringcast.stages.model.hand import resample_hand_motion
 from tests.checking.unusual_scenes import UNUSUAL, scene_measurements
 from tests.importing.mistakes import simulated_bench
+
+# between hand and first point is half a segment, twice as stiff as a whole one
+SOFT_AND_CLAMPED = {
+    "bending_stiffness": 12.0,
+    "bending_damping": 0.05,
+    "grasp_stiffness": 24.0,
+    "grasp_damping": 0.1,
+    "axial_stiffness": 6e5,
+    "axial_damping": 30.0,
+    "linear_drag": 0.1,
+    "quadratic_drag": 0.4,
+}
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +95,9 @@ def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
 
 def test_a_base_that_the_motion_does_not_show_is_asked_for(measured):
     """Without a length, a longer string in a higher hand moves alike."""
-    ((correction,),) = base_corrections(replace(measured, length=None), ())
+    x, y = measured.base
+    elsewhere = replace(measured, length=None, base=(x, y + 0.2))
+    ((correction,),) = base_corrections(elsewhere, ())
     assert correction.values == ()
     assert "others up to" in correction.statement
     assert option_words(correction, None, None) == []  # no option of `import` states it
@@ -92,9 +111,7 @@ def test_a_doubtful_misfit_is_an_error_unless_the_geometry_was_measured(
     x, y = measured.base
     verdict = judge(replace(measured, base=(x + shift[0], y + shift[1])))
     assert 0.12 < verdict.misfit < 0.25
-    metadata = {"geometry": "measured"} if is_stated else {}
-    data = SimpleNamespace(metadata=metadata)
-    dataset = SimpleNamespace(data=data, points_file="points.csv")
+    dataset = SimpleNamespace(geometry_is_measured=is_stated, points_file="points.csv")
     finding = misfit_finding(dataset, verdict, ["t0"])
     assert finding.severity == (Severity.WARNING if is_stated else Severity.ERROR)
     assert is_stated or "--geometry-measured" in finding.remedy
@@ -122,6 +139,59 @@ def test_a_string_with_a_set_is_a_warning(seed):
 def test_a_right_pace_stays_though_slower_points_would_move_less():
     measured = scene_measurements("own_kernel", 3)
     assert not find_answer(measured, judge(measured)).proposals
+
+
+def test_a_soft_string_in_a_clamp_needs_no_answer():
+    """It leaves the hand in its direction, and hangs down a few centimetres from it.
+
+    Strings in grasps that yield hang elsewhere. An arm elsewhere would explain that.
+    """
+    clamped = measurements_of(simulated_bench(SOFT_AND_CLAMPED))
+    verdict = judge(clamped)
+    assert verdict.misfit < 0.04
+    assert not find_answer(clamped, verdict).proposals
+
+
+def test_a_soft_string_in_a_clamp_hangs_as_one_that_is_tried():
+    """A beam with the stiffness of a rung is clamped in a hand that points ahead.
+
+    Of N rigid pieces, its potential energy is least at rest:
+
+        V / m = g sum_k y_k + EI / (lambda l^2) sum_k (a_k - a_{k-1})^2 / 2,
+
+    with pieces of length l and mass m, and half a piece from the clamp to a hinge.
+    """
+    length, segments, direction = 0.3, 60, -0.4
+    piece = length / segments
+    bending = 4.0 * 0.03**2  # EI / lambda [m4/s2] of the rung of 4.0
+    hinge = np.full(segments, bending / piece**2)
+    hinge[0] *= 2
+
+    def energy(angles):
+        turns = np.diff(angles, prepend=direction)
+        heights = piece * np.cumsum(np.sin(angles))
+        return GRAVITY_M_S2 * heights.sum() + 0.5 * hinge @ turns**2
+
+    angles = minimize(energy, np.full(segments, -1.2)).x
+    tip = piece * np.array([np.cos(angles).sum(), np.sin(angles).sum()])
+
+    string, rungs = ladder(length, 0.0)
+    t = np.array([0.0, 0.005])
+    hand = resample_hand_motion(t, np.tile([0.0, 0.0, direction], (2, 1)))
+    tips = simulate(string, hand, rungs, t).points[:, 0, -1]
+    apart_m = np.linalg.norm(tips - tip, axis=1)
+    clamped = STIFFNESS_LADDER.index((4.0, 8.0))
+    assert apart_m.argmin() == clamped
+    assert apart_m[clamped] < 0.01 * length
+
+
+def test_no_place_of_an_arm_is_fitted_where_it_was_measured(measured):
+    x, y = measured.base
+    elsewhere = replace(measured, base=(x + 0.1, y + 0.05))
+    answer = find_answer(elsewhere, judge(elsewhere))
+    assert [c.kind for p in answer.proposals for c in p.corrections] == ["base"]
+    stated = replace(elsewhere, base_is_measured=True)
+    assert not find_answer(stated, judge(stated)).proposals
 
 
 def test_what_is_right_needs_no_answer(measured):

@@ -145,12 +145,12 @@ class Bench:
         return replace(self, points=evened, fps=fps, options=options)
 
 
-def simulated_bench() -> Bench:
-    """Simulate three casts of a stiff string, with clocks 81 s apart."""
+def simulated_bench(material: Mapping[str, float] = STRIP) -> Bench:
+    """Simulate three casts of a string, with clocks 81 s apart."""
     links, base, length = (0.28, 0.22, 0.12), (0.1, 0.3), 0.32
     rng = np.random.default_rng(5)
     string = String(length, points=21)
-    values = np.array([[STRIP[p.name] for p in string.parameters]])
+    values = np.array([[material[p.name] for p in string.parameters]])
     t = np.arange(0.0, 1.2, 0.004)
     hands, points = [], []
     for start, swing in (

@@ -110,13 +110,12 @@ def misfit_finding(
     It is an error unless it is as of another string or of one that whips, or the
     geometry is stated to be measured.
     """
-    is_measured = dataset.data.metadata.get("geometry") == "measured"
     statement, remedy = describe_misfit(verdict), LOOK_AT_GEOMETRY
     reason = reason_beside_geometry(verdict)
     if reason:
         statement += f"; {reason}"
         report = warning
-    elif is_measured:
+    elif dataset.geometry_is_measured:
         report = warning
     else:
         remedy += f". {STATE_GEOMETRY}"

@@ -57,7 +57,13 @@ def measurements_of(dataset: CheckedDataset) -> Measurements:
     is_stated = "length" in dataset.metadata_block("string")
     length = dataset.length if is_stated else None
     x, y = dataset.arm.base
-    return Measurements(tuple(recordings), tuple(dataset.arm.links), (x, y), length)
+    return Measurements(
+        tuple(recordings),
+        tuple(dataset.arm.links),
+        (x, y),
+        length,
+        base_is_measured=dataset.geometry_is_measured,
+    )
 
 
 def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:

@@ -27,15 +27,22 @@ from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 
 # bending and grasp stiffness at 0.3 m and ten mass points [N m/(rad kg)]: from a limp
-# string to a strip that stands out of the hand
+# string to a strip that stands out of the hand; in grasps that yield, and in some that
+# clamp: between hand and first point is half a segment, twice as stiff as a whole one
 STIFFNESS_LADDER = (
     (0.01, 0.001),
+    (0.3, 0.6),
     (1.0, 0.5),
+    (1.0, 2.0),
+    (2.0, 4.0),
     (4.0, 0.01),
     (4.0, 2.0),
+    (4.0, 8.0),
     (8.0, 4.0),
+    (8.0, 16.0),
     (15.0, 0.1),
     (15.0, 7.0),
+    (15.0, 30.0),
     (22.0, 11.0),
     (30.0, 15.0),
     (50.0, 25.0),

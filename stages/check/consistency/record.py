@@ -87,12 +87,15 @@ class Measurements:
         Lengths of the arm's links and place of joint 1 [m].
     length
         Length of the string [m]; None if it is not stated.
+    base_is_measured
+        Whether the place of the arm is stated to be measured: no other is fitted.
     """
 
     recordings: tuple[Recording, ...]
     links: tuple[float, ...] = ()
     base: tuple[float, float] = (0.0, 0.0)
     length: float | None = None
+    base_is_measured: bool = False
 
     @property
     def tracks(self) -> list[Track]:
