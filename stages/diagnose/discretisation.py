@@ -139,8 +139,9 @@ def subtract_discretisation_error(
     """
     corrected = []
     errors, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
+    uncertainties = [np.nan_to_num(shape) for shape in uncertainties]
     for trial, error in zip(trials, errors, strict=True):
-        points = trial.points - error
+        points = trial.points - np.nan_to_num(error)
         corrected.append(replace(trial, model=hypothesis.model, points=points))
     columns = [shape[:, None] for shape in uncertainties]
     data = attach_discrepancy_model(corrected, hypothesis, chi, columns)
@@ -162,10 +163,13 @@ def discretisation_uncertainty(
 ) -> np.ndarray:
     """Compute how uncertain the discretisation error is at each trial's tip [m], (K,).
 
+    It is infinite where a simulation diverges.
+
     chi: exponents of the hypothesis, (P,).
     """
     _, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
-    return TrialData(tuple(trials)).tip_rms_by_trial(uncertainties)
+    uncertainty_m = TrialData(tuple(trials)).tip_rms_by_trial(uncertainties)
+    return np.where(np.isnan(uncertainty_m), np.inf, uncertainty_m)
 
 
 def _extrapolate_errors(
@@ -174,6 +178,8 @@ def _extrapolate_errors(
     chi: np.ndarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Extrapolate the discretisation error of a hypothesis from three meshes.
+
+    It is NaN in trials in which the simulation on one of them diverges.
 
     Returns
     -------
@@ -187,8 +193,8 @@ def _extrapolate_errors(
     meshes = _simulate_on_meshes(trials, hypothesis, chi, (1, 2, 4))
     for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
         limit = richardson_limit(finer, finest)
-        change = np.nan_to_num(limit - richardson_limit(coarse, finer))
-        errors.append(np.nan_to_num(limit - coarse))
+        change = limit - richardson_limit(coarse, finer)
+        errors.append(limit - coarse)
         uncertainties.append((change / trial.sigma[:, None]).ravel())
     return errors, uncertainties
 

@@ -7,6 +7,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles, true_exponents
 
+from stringcast.stages.diagnose import discretisation
 from stringcast.stages.diagnose.discretisation import (
     discretisation_uncertainty,
     with_second_order_mesh,
@@ -69,3 +70,17 @@ def test_a_cause_does_not_lengthen_steps(arm):
     base = ordinary(arm)
     hypothesis = Hypothesis(base).with_cause(effects_by_name()["maxwell_slip"])
     assert hypothesis.model.string.largest_step == base.string.largest_step
+
+
+def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
+    likelihood = likelihood_of_swing(arm, 1)
+
+    def simulate_points(model, trials, values):
+        step_s = model.string.largest_step
+        value = np.nan if step_s > 2e-3 else 0.0
+        return [np.full((1, len(trial.s), 2), value) for trial in trials]
+
+    monkeypatch.setattr(discretisation, "measured_points", simulate_points)
+    chi = true_exponents(Hypothesis(likelihood.model), TRUTH)
+    longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M)
+    assert longer.model.string.largest_step == 2e-3
