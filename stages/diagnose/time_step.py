@@ -33,7 +33,8 @@ def lengthen_steps_while_accurate(
 ) -> Likelihood:
     """Double the steps while that adds little to the uncertainty at the tips.
 
-    Trials that the steps as they are do not resolve do not count.
+    Trials that the steps as they are do not resolve do not count. If there are no
+    others, the steps stay.
 
     Parameters
     ----------
@@ -45,14 +46,17 @@ def lengthen_steps_while_accurate(
     """
     uncertainty_m = _tip_uncertainty(likelihood, chi)
     is_resolved = uncertainty_m < tolerance_m
+    if not is_resolved.any():
+        return likelihood
     accurate = likelihood
     while 2 * accurate.model.string.largest_step <= LONGEST_STEP_S:
         longer = _with_doubled_step(accurate)
         added_m = _tip_uncertainty(longer, chi) - uncertainty_m
+        added_m = added_m[is_resolved]
         step_s = longer.model.string.largest_step
-        log.info("steps of %g s: %s mm", step_s, np.round(MM_PER_M * added_m, 2))
-        largest_m = added_m[is_resolved].max(initial=0.0)
-        if largest_m > MAX_ADDED_UNCERTAINTY * tolerance_m:
+        added_mm = np.round(MM_PER_M * added_m, 2)
+        log.info("steps of %g s: tips are less certain by %s mm", step_s, added_mm)
+        if added_m.max() > MAX_ADDED_UNCERTAINTY * tolerance_m:
             break
         accurate = longer
     return accurate

@@ -84,3 +84,9 @@ def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
     chi = true_exponents(Hypothesis(likelihood.model), TRUTH)
     longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M)
     assert longer.model.string.largest_step == 2e-3
+
+
+def test_steps_stay_where_no_trial_is_resolved(arm):
+    likelihood = likelihood_of_swing(arm, 1)
+    chi = true_exponents(Hypothesis(likelihood.model), TRUTH)
+    assert lengthen_steps_while_accurate(likelihood, chi, 1e-9) is likelihood
