@@ -15,6 +15,7 @@ from tests.benchmarks.simulators.scene import Fidelity, Scene
 
 TRIALS = 3
 NOISE_M = 7e-4
+CLAMP_RATIO = 100.0  # of a clamp's stiffness to that of the string over its length
 
 
 def scene_measurements(
@@ -29,6 +30,7 @@ def scene_measurements(
     begin: float = 0.0,
     hidden: float = 0.0,
     set_per_m: float = 0.0,
+    clamped: bool = False,
 ) -> Measurements:
     """Simulate casts and return what would be measured.
 
@@ -50,6 +52,8 @@ def scene_measurements(
         Share of the frames in which the tip is hidden.
     set_per_m
         Curvature of the string at rest [1/m], of the own kernel.
+    clamped
+        Whether the grasp is far stiffer than the string.
     """
     rng = np.random.default_rng(seed)
     arm: Arm = replace(configured_arm(), base=base, links=links)
@@ -57,6 +61,8 @@ def scene_measurements(
         arm = replace(arm, lowest=(lowest, *arm.lowest[1:]))
     s = np.array(places) * length
     rod, camera = draw_rod(rng, length), draw_camera(rng)
+    if clamped:
+        rod = rod._replace(grasp_stiffness=CLAMP_RATIO * rod.bending / length)
     scene = Scene(load_simulator(simulator), arm, camera, rod, (), s, NOISE_M)
     settings = {"rest_curvature.curvature": set_per_m} if set_per_m else {}
     recordings = []
@@ -105,4 +111,5 @@ UNUSUAL = {
     "tip hidden half of the time": {"hidden": 0.5},
     "tip only": {"places": (1.0,)},
     "inner half only": {"places": (0.25, 0.5)},
+    "stiff clamp": {"clamped": True},
 }

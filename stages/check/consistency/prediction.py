@@ -26,29 +26,26 @@ from stringcast.stages.model.engine.threads import compile_kernel
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 
-# bending and grasp stiffness at 0.3 m and ten mass points [N m/(rad kg)]: from a limp
-# string to a strip that stands out of the hand; in grasps that yield, and in some that
-# clamp: between hand and first point is half a segment, twice as stiff as a whole one
-STIFFNESS_LADDER = (
+# Bending and grasp stiffness at 0.3 m and ten mass points [N m/(rad kg)]: from a limp
+# string to a strip that stands out of the hand, in grasps that yield
+YIELDING = (
     (0.01, 0.001),
-    (0.3, 0.6),
     (1.0, 0.5),
-    (1.0, 2.0),
-    (2.0, 4.0),
     (4.0, 0.01),
     (4.0, 2.0),
-    (4.0, 8.0),
     (8.0, 4.0),
-    (8.0, 16.0),
     (15.0, 0.1),
     (15.0, 7.0),
-    (15.0, 30.0),
     (22.0, 11.0),
     (30.0, 15.0),
     (50.0, 25.0),
     (90.0, 45.0),
     (200.0, 100.0),
 )
+# ... and in those that clamp: between hand and first point is half a segment, twice as
+# stiff as a whole one
+CLAMPED_BENDING = (0.3, 1, 2, 4, 6, 8, 11, 15, 21, 30, 42, 60, 90, 130, 200)
+STIFFNESS_LADDER = (*YIELDING, *((float(b), 2.0 * b) for b in CLAMPED_BENDING))
 REFERENCE_LENGTH_M = 0.3
 # sets that are tried, by the angle from end to end [rad]: as on a spool of a third of
 # the length around and more
