@@ -694,7 +694,7 @@ HYPOTHESES = Table(
     held_out_gain [1]: the same without the trial that gains most; NaN if not evaluated
     moved [m]: tip displacement by these causes, root mean square, largest trial
     unexplained [1]: unexplained share of the base model's mean-square tip residual
-    probability [1]: of the last cause against its alternatives
+    probability [1]: of the last cause against its alternatives; NaN if not among them
     """),
 )
 ENTRIES = Table(

@@ -186,9 +186,9 @@ def unexplained_document(
     sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
-        # of the same discrepancy as its place: the budget's share can be 0 where
-        # numerical error may explain the misfit
-        left_mm = MM_PER_M * rms(unexplained_tip_rms(data, fit))
+        # the budget's value, unless numerical error may explain all of it
+        left_m = value if low > 0 else rms(unexplained_tip_rms(data, fit))
+        left_mm = MM_PER_M * left_m
         misfit = f"A misfit of {left_mm:.1f} mm is left at the tip"
         if judgement.verdict.kind == "partial":
             before_mm = MM_PER_M * rms(unexplained_tip_rms(data, judgement.base_fit))

@@ -136,7 +136,7 @@ def hypotheses_table(
             "held_out_gain": held_out_gain,
             "moved": tip_shift_rms(data, base, fit).max(),
             "unexplained": 1 - explained,
-            "probability": probabilities.get(label, 0.0),
+            "probability": probabilities.get(label, np.nan),
         }
         rows.append(row)
     table = pd.DataFrame(rows)

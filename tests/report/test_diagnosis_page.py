@@ -20,6 +20,7 @@ from matplotlib.text import Text
 from stringcast.data.artifacts import Diagnosis
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.report.charts.axes import draw_map, new_axes
 from stringcast.stages.report.charts.residual import (
     NEGATIVE_COLOUR,
     POSITIVE_COLOUR,
@@ -377,7 +378,7 @@ SAID = {
     "partial": [
         "Partly explained. Found: tip mass",
         "they do not explain all of the misfit",
-        "Set aside",
+        "Excluded causes",
         "the trials do not agree on it",
         "5.0 of 9.0 mm remain.",
     ],
@@ -567,7 +568,34 @@ def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(page
     )
 
 
+def test_a_probable_hypothesis_is_shown_even_if_many_have_more_evidence(page_of):
+    table = hypotheses(40)
+    is_found = table["causes"] == "tip_mass"
+    table.loc[is_found, "fit_gain"] = 50.0
+    table.loc[table["causes"] == "wind + other5", "probability"] = np.nan
+    page = page_of(diagnosed("effect", ["tip_mass"], hypotheses=table))
+    hidden = page.text.index("27 more")
+    start = page.text.index("Fitted hypotheses")
+    assert start < page.text.index("tip mass", start) < hidden
+    assert "50 % " in page.text[page.text.index("wind + other5 ") :]
+
+
+def test_an_unknown_cause_is_in_addition_to_those_that_are_named(page_of):
+    named = page_of(diagnosed("effect", ["tip_mass"])).text
+    assert "in addition, a cause that the library does not contain" in named
+    unnamed = page_of(diagnosed("unknown", [])).text
+    assert "in addition, a cause" not in unnamed
+
+
 # --- truth of the pictures
+def test_no_cell_of_a_map_reaches_beyond_the_string():
+    t = np.repeat(np.arange(3) * 0.01, 2)
+    for s in ([0.16, 0.32], [0.32, 0.32]):
+        _, axes = new_axes(1.0, 1.0)
+        draw_map(axes, np.tile(s, 3), t, np.ones(6), 0.32)
+        assert axes.get_ylim() == pytest.approx((axes.get_ylim()[0], 320.0))
+
+
 def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     table = measured()
     base = residual_components(table, "base")

@@ -474,7 +474,7 @@ def test_numbers_are_those_of_the_run(page):
         "4 mm closest distance",
         "0.400 → 0.900",
         "45.6 mm → 12.3 mm",
-        "252.0 ms",
+        "at 252 ms of a movement",
         "a joint leaves its range",
         "4320",
         "the string is hidden behind the arm",
@@ -614,7 +614,7 @@ def test_estimation_alone_has_a_page(arm, small):
         sentence="Estimated from 2 trials.",
     )
     assert len(Page(cast_page(twice)).all("img")) == len(STRING.parameters)
-    assert [chart["axis"] for chart in page.explored()[1]] == ["E_f [1]"]
+    assert [chart["axis"] for chart in page.explored()[1]] == ["matching rate E"]
     assert "Cast 1" not in page.text
 
 
@@ -706,7 +706,7 @@ def test_curves_are_those_of_the_run(page, record):
     cast.
     """
     _, charts = page.explored()
-    titles = ("E_f [1]", "RMS [mm]", "angle [°]", "difference [°]")
+    titles = ("matching rate E", "RMS [mm]", "angle [°]", "difference [°]")
     assert [chart["axis"] for chart in charts] == [*titles] * len(record.casts)
     cast, rms = record.casts[0], charts[1]
     assert rms["t"] == pytest.approx(cast.frame_times * 1e3)

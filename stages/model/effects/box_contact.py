@@ -29,7 +29,7 @@ class BoxContact(StringEffect):
 
     name = "box_contact"
     exclusion_reason = (
-        "it is an obstacle, for which the touch of any body would be taken"
+        "obstacles are known settings; a search would mistake any contact for one"
     )
     parameters = (
         Parameter(

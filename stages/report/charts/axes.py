@@ -45,7 +45,12 @@ def label_decades(axis: Axis) -> None:
 
 
 def draw_map(
-    axes: Axes, s: np.ndarray, t: np.ndarray, values: np.ndarray, **style: Any
+    axes: Axes,
+    s: np.ndarray,
+    t: np.ndarray,
+    values: np.ndarray,
+    length: float,
+    **style: Any,
 ) -> ScalarMappable:
     """Draw the means of values in cells of arc length and time.
 
@@ -55,10 +60,12 @@ def draw_map(
     s, t, values : ndarray, shape (N,)
         Arc length [m], time [s] and value of each point. Cells without a point are
         empty.
+    length : float
+        Length of the string [m], beyond which no cell reaches.
     style : keywords
         Colours of `Axes.pcolorfast`.
     """
-    s_edges, t_edges = _string_edges(s), _time_edges(t)
+    s_edges, t_edges = _string_edges(s, length), _time_edges(t)
     total, *_ = np.histogram2d(s, t, (s_edges, t_edges), weights=values)
     count, *_ = np.histogram2d(s, t, (s_edges, t_edges))
     means = np.full(total.shape, np.nan)
@@ -67,16 +74,16 @@ def draw_map(
     return axes.pcolorfast(t_edges * MS_PER_S, s_edges * MM_PER_M, means, **style)
 
 
-def _string_edges(s: np.ndarray) -> np.ndarray:
+def _string_edges(s: np.ndarray, length: float) -> np.ndarray:
     """Return edges [m] around the places measured, or even ones if there are many."""
     places = np.unique(np.round(s, 4))
     if len(places) > MAX_STRING_CELLS:
         return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
     if len(places) == 1:
-        return np.array([0.0, max(2 * places[0], 1e-3)])
+        return np.array([0.0, max(length, places[0], 1e-3)])
     padded = np.pad(places, 1, mode="reflect", reflect_type="odd")
     edges: np.ndarray = (padded[1:] + padded[:-1]) / 2
-    return edges.clip(min=0.0)
+    return edges.clip(0.0, max(length, places[-1]))
 
 
 def _time_edges(t: np.ndarray) -> np.ndarray:

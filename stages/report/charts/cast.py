@@ -159,7 +159,7 @@ def matching_chart(estimate: Estimate | None, title: str) -> Chart | None:
         rates = break_at_gaps(t, table[state].to_numpy())
         lines.append(Line(f"{state} estimation", rates, state))
     caption = "How well simulation and camera agree, frame by frame; 1 is perfect."
-    return Chart(title, t, lines, "E_f [1]", caption)
+    return Chart(title, t, lines, "matching rate E", caption)
 
 
 # --- distance of simulated and measured string
@@ -224,6 +224,7 @@ def distance_map(
         table["s"].to_numpy(),
         cast.frame_times[table["frame"]],
         table["distance"].to_numpy() * MM_PER_M,
+        record.model.string.length,
         cmap=DISTANCE_COLOURS,
         vmin=0,
         vmax=scale_end * MM_PER_M,

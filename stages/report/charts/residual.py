@@ -61,13 +61,14 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
         return None
     figure, panels = _map_panels(len(trials))
     end = _scale_end(trials.values())
-    scale = AsinhNorm(2.0, -end, end)
+    colours = {"cmap": DIVERGING_COLOURS, "norm": AsinhNorm(2.0, -end, end)}
+    length = record.model.string.length
     for row, (trial, table) in zip(panels, trials.items(), strict=True):
         s, t = table["s"].to_numpy(), table["t"].to_numpy()
         components = residual_components(table, model)
         for axes, name in zip(row, COMPONENTS, strict=True):
             values = components[name]
-            drawn = draw_map(axes, s, t, values, cmap=DIVERGING_COLOURS, norm=scale)
+            drawn = draw_map(axes, s, t, values, length, **colours)
         row[0].set_ylabel("s [mm]")
         # above the row, for names may be longer than it is high
         row[0].text(0.0, 1.05, trial, fontsize=8, transform=row[0].transAxes)
@@ -87,10 +88,10 @@ def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
     figure.set_layout_engine("none")
     margins = {
         "left": 0.1,
-        "right": 0.99,
+        "right": 0.97,
         "top": 1 - MAP_TOP_IN / height,
         "bottom": MAP_BOTTOM_IN / height,
-        "wspace": 0.06,
+        "wspace": 0.12,
         "hspace": 0.4,
     }
     panels: np.ndarray = figure.subplots(
@@ -105,7 +106,7 @@ def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
 def _add_scale_bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
     """Add the bar of colours below all maps, from -end to end [noise floor]."""
     height = figure.get_figheight()
-    place = figure.add_axes((0.1, 0.42 / height, 0.89, 0.08 / height))
+    place = figure.add_axes((0.1, 0.42 / height, 0.87, 0.08 / height))
     bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
     positive = [tick for tick in SCALE_TICKS if tick <= end]
     ticks = [*(-tick for tick in reversed(positive)), 0, *positive]

@@ -482,7 +482,7 @@ def _describe_cast(cast: CastRecord) -> Markup:
     if np.isfinite(verdict.distance):
         sentences = [
             f"The tip came within {format_mm(verdict.distance)} of the target's "
-            f"centre, at {format_ms(verdict.t, 1)} of a movement of "
+            f"centre, at {format_ms(verdict.t)} of a movement of "
             f"{format_ms(plan['duration'])}.",
             f"The simulation predicted {format_ms(plan['t_hit'])}.",
         ]

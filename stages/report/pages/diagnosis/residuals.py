@@ -36,8 +36,8 @@ MAP_CAPTION = (
     "Arc length s from the grasp, over time; a row for each trial. Orange: the "
     "measured string lies to the left of the simulated one, or further towards the "
     "tip; blue: the opposite. Faint colours are noise. A patch of colour is an error "
-    "of the model, or numerical error in chaotic motion. Grey: not measured. All maps "
-    "share the colours."
+    "of the model, or numerical error in chaotic motion. Grey: not measured. A row "
+    "ends with its trial. All maps share the colours."
 )
 TRIALS_LEAD = (
     "Point at a curve to show every string at that time; drag to zoom, double click to "

@@ -31,6 +31,7 @@ from stringcast.stages.report.page import (
 from stringcast.stages.report.records import DiagnosisRecord
 
 MAX_SHOWN_HYPOTHESES = 12
+MIN_SHOWN_PROBABILITY = 0.05  # a hypothesis as probable is shown in any case
 SEARCH_LEAD = (
     "The search adds one cause at a time. It screens every effect of the library to "
     "first order, given the causes already found, and fits the most promising ones "
@@ -42,8 +43,8 @@ NO_SEARCH_LEAD = "The misfit of the base model is too small for a search for cau
 ENTRIES_CAPTION = (
     "Causes in the order in which the search added them. Log evidence: given the "
     "causes before. By trial: rise of the log-likelihood. Residual: distance of the "
-    "simulated from the measured string without and with the cause. Table `entries` "
-    "has all moments and places."
+    "simulated from the measured string without and with the cause. All times and "
+    "places are in iterations/*/diagnosis/entries.parquet."
 )
 SCREENING_CAPTION = (
     "First-order gain of the log-likelihood, with refitted string parameters. Blue: "
@@ -54,7 +55,8 @@ HYPOTHESES_CAPTION = (
     "the sizes of unmodelled error. Without the strongest trial: the same without the "
     "trial that supports the causes most; an effect needs enough of both. Tip shift: "
     "rms, in the trial where it is largest. Unexplained: share of the base model's "
-    "mean square misfit at the tip. Probability: of the last cause, given the others."
+    "mean square misfit at the tip. Probability: of the last cause, given the others; "
+    "empty for hypotheses that were rejected before probabilities were computed."
 )
 
 
@@ -88,8 +90,10 @@ def search_section(record: DiagnosisRecord) -> Section:
     ranked = diagnosis.hypotheses.assign(is_base=is_base).sort_values(
         ["is_base", "fit_gain"], ascending=False, kind="stable"
     )
-    rows = ranked.to_dict("records")
-    shown, others = rows[:MAX_SHOWN_HYPOTHESES], rows[MAX_SHOWN_HYPOTHESES:]
+    is_shown = ranked["probability"].to_numpy() >= MIN_SHOWN_PROBABILITY
+    is_shown[:MAX_SHOWN_HYPOTHESES] = True
+    shown = ranked[is_shown].to_dict("records")
+    others = ranked[~is_shown].to_dict("records")
     tables: list[Part] = [_hypotheses_table(shown)]
     if others:
         tables.append(Details(f"{len(others)} more", [_hypotheses_table(others)]))
@@ -152,9 +156,11 @@ def _hypotheses_table(hypotheses: Sequence[Mapping[str, Any]]) -> TableView:
         if np.isfinite(row["held_out_gain"]):
             weakest = number_cell(format_gain(row["held_out_gain"]))
         shift = format_mm(row["moved"], 1)
-        shares = [
-            format_percent(row[column]) for column in ("unexplained", "probability")
-        ]
-        rows.append([causes, evidence, weakest, *number_cells([shift, *shares])])
+        unexplained = format_percent(row["unexplained"])
+        probability = ""
+        if np.isfinite(row["probability"]):
+            probability = format_percent(row["probability"])
+        shares = number_cells([shift, unexplained, probability])
+        rows.append([causes, evidence, weakest, *shares])
     columns = ("causes", "log evidence", "without the strongest trial", "tip shift")
     return TableView((*columns, "unexplained", "probability"), rows)

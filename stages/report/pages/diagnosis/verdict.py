@@ -92,7 +92,7 @@ def causes_section(record: DiagnosisRecord) -> Section:
     for other in record.document["alternatives"]:
         if other["probability"] > MIN_ALTERNATIVE_PROBABILITY:
             probability = number_cell(format_percent(other["probability"]))
-            rows.append((effect_title(other["effect"]), probability))
+            rows.append((_alternative_title(record, other["effect"]), probability))
     alternatives: Part = Text("None above 1 %.", "missing")
     if rows:
         alternatives = name_value_table(rows)
@@ -101,8 +101,15 @@ def causes_section(record: DiagnosisRecord) -> Section:
     for other in record.document["set_aside"]:
         set_aside.append((effect_title(other["effect"]), other["reason"]))
     if set_aside:
-        parts.append(Card("Set aside", [name_value_table(set_aside)]))
+        parts.append(Card("Excluded causes", [name_value_table(set_aside)]))
     return Section("Causes" if cards else "No cause found", parts)
+
+
+def _alternative_title(record: DiagnosisRecord, name: str) -> str:
+    """Name an alternative; an unknown cause is one in addition to named causes."""
+    title = effect_title(name)
+    is_addition = name == "unknown" and record.document["causes"]
+    return f"in addition, {title}" if is_addition else title
 
 
 def _cause_card(name: str, rows: pd.DataFrame) -> Card:
