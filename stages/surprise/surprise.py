@@ -104,13 +104,13 @@ def measure_surprise(
     as_far = int((distances[1:] >= distances[0]).sum())
     p_value = (1 + as_far) / (1 + draws)
     apart_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
+    is_surprising = p_value <= ALARM_P_VALUE
+    conclusion = "a surprise" if is_surprising else "no surprise"
     sentence = (
         f"Until the planned hit, the tip was up to {MM_PER_M * apart_m.max():.0f} mm "
-        f"from its predicted path; {as_far} of {draws} predictions are as far from "
-        f"those most alike (p = {p_value:.2f})."
+        f"from its predicted path. Of {draws} paths simulated with possible strings, "
+        f"{as_far} are as unusual: the trial is {conclusion} (p = {p_value:.2g})."
     )
-    is_surprising = p_value <= ALARM_P_VALUE
-    sentence += " The trial is a surprise." if is_surprising else ""
     return _describe(
         draws, len(measured), sentence, float(distances[0]), p_value, is_surprising
     )
