@@ -25,11 +25,10 @@ ProgressBar = Callable[[str], AbstractContextManager[ReportProgress]]
 MAX_TITLE_CHARACTERS = 74  # a longer title of a panel would be cut in 80 columns
 MAX_LOG_CHARACTERS = 36  # that fit behind a bar in 80 columns
 CAST_COLUMNS = (
-    "cast",
     "tip in the box",
     "closest [mm]",
-    "E before [1]",
-    "E after [1]",
+    "E before",
+    "E after",
     "rms [mm]",
 )
 
@@ -100,7 +99,8 @@ def cast_panel(result: RunResult) -> Panel:
     parts: list[RenderableType] = [] if fits_title else [Text(outcome, "bold"), ""]
     rows = [row for row in map(cast_row, result.iterations) if any(row[1:])]
     if rows:
-        parts.append(cast_table(rows))
+        has_casts = any(iteration.verdict for iteration in result.iterations)
+        parts.append(cast_table(rows, "cast" if has_casts else "trial"))
     if result.last_estimate is not None:
         parts += ["", Text(str(result.last_estimate.fit["sentence"].iloc[0]))]
         intervals = determined_parameters(result.last_estimate)
@@ -112,9 +112,9 @@ def cast_panel(result: RunResult) -> Panel:
     return Panel(Group(*parts), title=title, border_style=colour)
 
 
-def cast_table(rows: list[list[str]]) -> Table:
-    """Return a table of casts without its empty columns."""
-    frame = pd.DataFrame(rows, columns=CAST_COLUMNS)
+def cast_table(rows: list[list[str]], heading: str) -> Table:
+    """Return a table of casts or stored trials without its empty columns."""
+    frame = pd.DataFrame(rows, columns=[heading, *CAST_COLUMNS])
     return text_table(frame.loc[:, (frame != "").any()], "right")
 
 

@@ -59,14 +59,14 @@ FIELD_PATTERN = re.compile(
 )
 OPTION_PATTERN = re.compile(r"--[a-z][\w-]*")  # the first option in a message
 NUMBER_HEADINGS = (
-    "seen [s]",
+    "camera [s]",
     "with arm [s]",
     "frames",
-    "per s",
-    "arm per s",
+    "frames per s",
+    "arm rows per s",
     "points",
     "noise [mm]",
-    "hand [m]",
+    "hand path [m]",
 )
 
 

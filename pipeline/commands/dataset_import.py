@@ -31,6 +31,7 @@ from stringcast.stages.check.clocks import SAMPLING_REMEDY, describe_sampling
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.windows import possible_windows
 from stringcast.stages.model.arm import Arm
+from stringcast.stages.report.formatting import format_count
 
 # joints of an arm whose angles our format holds; other arms are stored as hand poses
 FORMAT_JOINTS = 3
@@ -220,9 +221,12 @@ def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFr
     if len(bench.links) != count:
         example = ",".join((EXAMPLE_LINKS_M * count)[:count])
         files = {c.file.name for c in tables.used_columns if c.role in tables.joints}
+        stated = f"--links gives {format_count(len(bench.links), 'length')}"
+        if not bench.links:
+            stated = "no --links are given"
         raise DataError(
-            f"{', '.join(sorted(files))}: the log holds angles of joints: {count}, and "
-            f"--links gives the lengths of {len(bench.links)} links. Give one for each "
+            f"{', '.join(sorted(files))}: the log holds the angles of "
+            f"{format_count(count, 'joint')}, and {stated}. Give one length for each "
             f"joint, base first: --links {example} --base 0,0. If some joints do not "
             "turn in the plane, name those that do: --map q1=<column> "
             "--map q2=<column>."

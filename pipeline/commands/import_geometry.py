@@ -170,7 +170,9 @@ def change_of(
     words_of_each = [option_words(c, tables, options) for c in corrections]
     statements = statements_for_files(proposal)
     contradiction, fit = describe_contradiction(before), describe_fit(proposal.verdict)
-    reason = f"{statements}. As the files are read now, {contradiction}; then {fit}"
+    reason = (
+        f"{statements}. As the files are read now, {contradiction}; corrected, {fit}"
+    )
     if not all(words_of_each):
         remedies = ". ".join(correction.remedy for correction in corrections)
         if must_state_otherwise(proposal, options):

@@ -410,7 +410,7 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     ),
     "missing joint": (
         without("robot", "joint2_deg"),
-        "angles of joints: 2",
+        "angles of 2 joints",
     ),
     "degrees named rad": (lambda bench: replace(bench, angle_name="rad"), "--deg"),
     "no units in names": (

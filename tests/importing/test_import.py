@@ -240,7 +240,7 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     ("changes", "file", "field", "statement", "remedy"),
     [
         ({"--base": "0.2,0.5"}, "", "arm.base", "the arm stands elsewhere", "--base="),
-        ({"--links": "0.25,0.2"}, "robot_08.csv", "", "lengths of 2 links", "--links"),
+        ({"--links": "0.25,0.2"}, "robot_08.csv", "", "gives 2 lengths", "--links"),
         ({"--map": "q1=gear"}, "", "--map q1=gear", "no file has such", "There are"),
     ],
     ids=["correction", "file", "option"],
@@ -484,7 +484,7 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
     assert any("give it with --length" in note for note in made.notes)
     with pytest.raises(
         DataError,
-        match=r"angles of joints: 2, .* of 3 links.*--links 0.25,0.20 ",
+        match=r"angles of 2 joints, .* gives 3 lengths.*--links 0.25,0.20 ",
     ):
         convert_recordings(
             read(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))

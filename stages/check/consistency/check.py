@@ -91,7 +91,7 @@ def proposal_findings(
         others = [describe_corrections(p.corrections) for p in proposals[1:]]
         alternative = f"; as well it may be that {' or that '.join(others)}"
     statement = (
-        f"{describe_contradiction(verdict)}; then {describe_fit(best.verdict)}"
+        f"{describe_contradiction(verdict)}; corrected, {describe_fit(best.verdict)}"
         f"{alternative}"
     )
     for correction in best.corrections:
@@ -151,7 +151,9 @@ def describe_fit(verdict: Verdict) -> str:
     """Return how well corrected data fit."""
     if not verdict.misfits:
         return "the string is possible"
-    return f"they are {verdict.misfit_m:.2g} m from it"
+    return (
+        f"points are {verdict.misfit_m:.2g} m from where a string in this hand would be"
+    )
 
 
 def pairing_finding(dataset: CheckedDataset, pairing: Mapping[str, str]) -> Finding:
