@@ -236,12 +236,18 @@ def misfit_probability(
 
 
 def fit_base_to(state: SelectionState) -> Fit:
-    """Fit the base model to the data of a state."""
+    """Fit the base model to the data of a state.
+
+    The fit before the search may be in a poor minimum, whose misfit would count as that
+    of a missing cause. So the parameters found with the causes are a second start.
+    """
     hypothesis = state.fit.hypothesis
     if not hypothesis.causes:
         return state.fit
-    base = state.prepared.base_fit
-    return refit(state.prepared.data, base, Hypothesis(hypothesis.base))
+    data = state.prepared.data
+    base = Hypothesis(hypothesis.base)
+    fits = [refit(data, start, base) for start in (state.prepared.base_fit, state.fit)]
+    return max(fits, key=lambda fit: fit.log_evidence)
 
 
 def judge_interrupted_search(

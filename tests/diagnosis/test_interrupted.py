@@ -66,7 +66,8 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
         return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)
 
     monkeypatch.setattr(verdict, "background_responses", lambda *given: ())
-    monkeypatch.setattr(verdict, "refit", lambda *given: None)
+    base_fit = SimpleNamespace(log_evidence=0.0)
+    monkeypatch.setattr(verdict, "refit", lambda *given: base_fit)
     monkeypatch.setattr(verdict, "Hypothesis", lambda base: None)
     monkeypatch.setattr(verdict, "misfit_probability", lambda *given: 1.0)
     monkeypatch.setattr(verdict, "single_effect_posterior", posterior)

@@ -239,18 +239,23 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
     assert numbers.base_misfit_probability == 0.0
 
 
-def test_the_base_is_fitted_again_only_beside_causes(monkeypatch):
-    refitted = []
-    monkeypatch.setattr(
-        verdict, "refit", lambda data, base, hypothesis: refitted.append(base) or "new"
-    )
-    for causes in ((), ("wind",)):
-        hypothesis = SimpleNamespace(causes=causes, base="model")
-        prepared = SimpleNamespace(data=None, base_fit="base")
-        fit = fit_of(hypothesis=hypothesis)
-        state = SimpleNamespace(fit=fit, prepared=prepared)
-        assert verdict.fit_base_to(state) == ("new" if causes else fit)
-    assert refitted == ["base"]
+@pytest.mark.parametrize("better", ["before", "with causes"])
+def test_the_base_is_fitted_again_only_beside_causes_and_in_the_better_minimum(
+    monkeypatch, better
+):
+    """A fit begun in a poor minimum would count its misfit as that of a cause."""
+    hypothesis = SimpleNamespace(causes=("wind",), base="model")
+    before, found = fit_of(name="before"), fit_of(name="with causes")
+    found.hypothesis = hypothesis
+    ends = {name: fit_of(-9.0, end=name) for name in ("before", "with causes")}
+    ends[better].log_evidence = 7.0
+    monkeypatch.setattr(verdict, "refit", lambda data, start, base: ends[start.name])
+    prepared = SimpleNamespace(data=None, base_fit=before)
+    state = SimpleNamespace(fit=found, prepared=prepared)
+    assert verdict.fit_base_to(state) is ends[better]
+
+    hypothesis.causes = ()
+    assert verdict.fit_base_to(state) is found
 
 
 def test_a_mesh_that_is_too_coarse_is_named_with_certainty():

@@ -55,8 +55,8 @@ HYPOTHESES_CAPTION = (
     "the sizes of unmodelled error. Without the strongest trial: the same without the "
     "trial that supports the causes most; an effect needs enough of both. Tip shift: "
     "rms, in the trial where it is largest. Unexplained: share of the base model's "
-    "mean square misfit at the tip. Probability: of the last cause, given the others; "
-    "empty for hypotheses that were rejected before probabilities were computed."
+    "mean square misfit at the tip. Probability: of the last cause against its "
+    "alternatives; empty for hypotheses that were not among them."
 )
 
 
