@@ -119,9 +119,10 @@ def _parameter_intervals(
     parameters = likelihood.parameters
     low = np.clip(best - covariance.half_width_95, 0, 1)
     high = np.clip(best + covariance.half_width_95, 0, 1)
-    determined = (high - low < UNDETERMINED_WIDTH) & within_range(best)
+    is_narrow, is_inside = high - low < UNDETERMINED_WIDTH, within_range(best)
+    determined = is_narrow & is_inside
     sentence = describe_undetermined(
-        parameters, determined, "This data determines every parameter."
+        parameters, is_narrow, is_inside, "This data determines every parameter."
     )
     sentence += describe_correlated(parameters, determined, covariance.correlation)
     sentence += _describe_misfit(max(likelihood.noise_scales))

@@ -255,10 +255,10 @@ def insensitive_parameters(
     rate = np.concatenate([search.matching_rate, matching_rate(targets, scan)])
     good = rate >= np.nanmax(search.matching_rate) - EQUAL_RATE_TOLERANCE
     width = np.ptp(chi[good], axis=0)
-    sensitive = (width < UNDETERMINED_SPREAD) & within_range(best)
     sentence = describe_undetermined(
         parameters,
-        sensitive,
+        width < UNDETERMINED_SPREAD,
+        within_range(best),
         "Near the best string found, E depends on every parameter.",
     )
     sentence += " A search on E cannot say how sure the others are; least squares can."
@@ -272,15 +272,30 @@ def within_range(chi: np.ndarray) -> np.ndarray:
 
 
 def describe_undetermined(
-    parameters: Sequence[Parameter], determined: np.ndarray, clear: str
+    parameters: Sequence[Parameter],
+    is_narrow: np.ndarray,
+    is_inside: np.ndarray,
+    clear: str,
 ) -> str:
-    """Name the parameters that the data cannot determine; `clear` if there are none."""
-    if determined.all():
+    """Name the parameters that the data cannot determine; `clear` if there are none.
+
+    is_narrow, is_inside: (P,), whether only values near the best one fit, and whether
+    that is within the range and not at its end.
+    """
+    if (is_narrow & is_inside).all():
         return clear
     labels = np.array([parameter_label(parameter) for parameter in parameters])
-    loose = labels[~determined]
-    why = "other values fit as well, or the best lies at the end of the range"
-    return f"This data cannot determine {', '.join(loose)}: {why}."
+    sentences = []
+    if loose := ", ".join(labels[~is_narrow & is_inside]):
+        sentences.append(
+            f"This data cannot determine {loose}: other values fit as well."
+        )
+    if ends := ", ".join(labels[~is_inside]):
+        sentences.append(
+            f"This data cannot determine {ends}: the best value lies at the end of the "
+            "range, and the true one may lie beyond it."
+        )
+    return " ".join(sentences)
 
 
 def describe_correlated(

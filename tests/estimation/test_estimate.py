@@ -30,6 +30,7 @@ from stringcast.stages.estimate.result import (
     Candidates,
     Interval,
     build_estimate,
+    describe_undetermined,
     tabulate_misfit,
 )
 from stringcast.stages.extract.score import pixel_scores, rasterise
@@ -394,6 +395,21 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     loose = set(found.parameters["symbol"][~found.parameters["determined"]])
     assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose
     assert "c_ph" in found.fit["sentence"].iloc[0]
+
+
+def test_a_parameter_at_the_end_of_its_range_is_told_from_one_that_is_loose():
+    parameters = STRING.parameters[:3]
+    names = [parameter.name for parameter in parameters]
+    is_narrow, is_inside = np.array([True, False, True]), np.array([True, True, False])
+    sentence = describe_undetermined(parameters, is_narrow, is_inside, "All known.")
+    loose, at_end = sentence.split(". ")
+    assert names[1] in loose
+    assert "other values fit as well" in loose
+    assert names[2] in at_end
+    assert "the end of the range" in at_end
+    assert names[0] not in sentence
+    every = np.ones(3, bool)
+    assert describe_undetermined(parameters, every, every, "All known.") == "All known."
 
 
 def test_points_between_mass_points_are_interpolated(arm, camera):
