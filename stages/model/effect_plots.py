@@ -81,14 +81,14 @@ def draw_law(
     else:
         reach = ARGUMENT_RANGES[units[across]]
         x = np.linspace(-reach, reach, 401)
-        label = f"{across} / ({units[across]})"
+        label = f"{across} [{units[across]}]"
     arguments: dict[str, Any] = dict.fromkeys(law_arguments(law), 1.0)
     arguments |= dict.fromkeys(set(argument_names) - {"length"}, 0.0)
     arguments |= {**values, across: x}
     y = law(**select_arguments(law, arguments))
     # over mass per length: the unit says it
     quantity = SLOTS[slot].quantity.removesuffix(" over mass per length")
-    unit = "of a mass point" if of_a_point else f"/ ({SLOTS[slot].unit})"
+    unit = "of a mass point" if of_a_point else f"[{SLOTS[slot].unit}]"
     for component in y if isinstance(y, tuple) else (y,):
         draw_line(axes, x, component, label, f"{quantity} {unit}")
 
@@ -118,7 +118,7 @@ def draw_hysteresis(
         memory = update(**select_arguments(update, known))
         known["memory"] = memory
         moments.append(moment_law(**select_arguments(moment_law, known)))
-    draw_line(axes, bends, np.array(moments), f"{bend} / ({unit})", "moment / (m3/s2)")
+    draw_line(axes, bends, np.array(moments), f"{bend} [{unit}]", "moment [m3/s2]")
 
 
 def draw_joint_swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
@@ -134,7 +134,7 @@ def draw_joint_swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
     axes.plot(t, reported, linestyle="--", label="reported")
     names = [f"q{joint}" for joint in range(1, len(values) + 1)]
     axes.plot(t, actual, label=names if len(values) > 1 else "real")
-    axes.set_xlabel("time / s")
+    axes.set_xlabel("time [s]")
     axes.set_ylabel("angle / rad")
     axes.legend()
 
@@ -153,5 +153,5 @@ def draw_observed_grid(
         axes.plot(*straight.T, color="0.7", linestyle="--", linewidth=0.5)
         axes.plot(*bent.T, color="C0")
     axes.set_aspect("equal")
-    axes.set_xlabel("x / m")
-    axes.set_ylabel("y / m")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")

@@ -62,7 +62,7 @@ class AirDrag(StringEffect):
         force = -cls.load(speed, 0.0, values["linear_drag"], values["quadratic_drag"])[
             0
         ]
-        draw_line(axes, speed, force, "speed / (m/s)", "air resistance / (m/s2)")
+        draw_line(axes, speed, force, "speed [m/s]", "air resistance [m/s2]")
 
     @staticmethod
     def load(

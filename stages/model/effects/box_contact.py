@@ -75,7 +75,7 @@ class BoxContact(StringEffect):
         push = cls.load(
             place, 0.0, 0.0, 0.0, 0.0, values["stiffness"], 0.0, 0.0, **given
         )[0]
-        draw_line(axes, values["centre_x"] + place, push, "x / m", "push / (m/s2)")
+        draw_line(axes, values["centre_x"] + place, push, "x [m]", "push [m/s2]")
 
     @staticmethod
     def derive_parameters(

@@ -63,8 +63,8 @@ class Clamp(StringEffect):
             axes,
             np.array([along, along + 0.05]),
             np.array([across, across]),
-            "along the grasp / m",
-            "across / m",
+            "along the grasp [m]",
+            "across [m]",
         )
 
     @staticmethod

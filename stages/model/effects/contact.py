@@ -98,7 +98,7 @@ class Contact(StringEffect):
             0.0,
             1.0,
         )[1]
-        draw_line(axes, place, push, "along the normal / m", "push / (m/s2)")
+        draw_line(axes, place, push, "along the normal [m]", "push [m/s2]")
 
     @staticmethod
     def derive_parameters(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:

@@ -47,7 +47,7 @@ class GraspSlip(HandEffect):
         t = np.linspace(0.0, 2.0, 201)
         still = np.zeros((1, len(t), 3))
         draw_line(
-            axes, t, cls.grasp(t, still, **values)[0, :, 0], "time / s", "slid out / m"
+            axes, t, cls.grasp(t, still, **values)[0, :, 0], "time [s]", "slid out [m]"
         )
 
     @staticmethod

@@ -59,7 +59,7 @@ class NonlinearBending(StringEffect):
             1 + cls.hinge_stiffness(curvature, 1.0, values["hardening"])
         )
         draw_line(
-            axes, curvature, moment, "curvature / (1/m)", "moment / stiffness / (1/m)"
+            axes, curvature, moment, "curvature [1/m]", "moment / stiffness [1/m]"
         )
 
     @staticmethod

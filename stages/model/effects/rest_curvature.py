@@ -62,7 +62,7 @@ class RestCurvature(StringEffect):
         turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])
         x, y = np.cumsum(steps, axis=1)
-        draw_line(axes, x, y, "along the grasp / m", "across / m")
+        draw_line(axes, x, y, "along the grasp [m]", "across [m]")
 
     @staticmethod
     def rest_curvature(

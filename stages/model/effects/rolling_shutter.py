@@ -60,7 +60,7 @@ class RollingShutter(CameraEffect):
         """Draw the time at which each row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
         late = values["readout"] * (row - values["stamped"])
-        draw_line(axes, row, late, "row / height", "exposed after the frame's time / s")
+        draw_line(axes, row, late, "row / height", "exposed after the frame's time [s]")
 
     @staticmethod
     def observe(

@@ -55,8 +55,8 @@ class Wind(StringEffect):
             scale=1,
         )
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-        axes.set_xlabel("air to the right / (m/s)")
-        axes.set_ylabel("air upwards / (m/s)")
+        axes.set_xlabel("air to the right [m/s]")
+        axes.set_ylabel("air upwards [m/s]")
 
     @staticmethod
     def flow(along_x: Quantity, along_y: Quantity) -> tuple[Quantity, Quantity]:
