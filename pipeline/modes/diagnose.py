@@ -18,6 +18,7 @@ from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings
 from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages.spec import StageSummary
 
 PERFORMANCE = ("propose", "execute")  # stages that perform a proposed motion
 
@@ -64,8 +65,9 @@ class Diagnose(Batch):
             trials = self.perform_proposed_motion(history, trials)
             diagnosis = history.make_artifact(self.stage, **{collected: trials})
             executor.publish(history.iterations[stored:])
-        sentence = diagnosis_outcome(diagnosis)
         stage = stages()[self.stage]
+        summary = stage.summary(diagnosis)
+        sentence = diagnosis_outcome(diagnosis, summary)
         return RunResult(folder, tuple(history.iterations), sentence, stage)
 
     def perform_proposed_motion(self, history: History, trials: TrialSet) -> TrialSet:
@@ -85,10 +87,10 @@ class Diagnose(Batch):
         )
 
 
-def diagnosis_outcome(diagnosis: Diagnosis) -> str:
-    """Describe the verdict and the next experiment."""
+def diagnosis_outcome(diagnosis: Diagnosis, summary: StageSummary) -> str:
+    """Describe the verdict, the gain, and the next experiment."""
     details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
-    sentences = [diagnosis.sentence]
+    sentences = [summary.sentence]
     if next_experiment := details["next_experiment"]:
         sentences.append(next_experiment["sentence"])
     return " ".join(filter(None, sentences))

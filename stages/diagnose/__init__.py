@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from stringcast.data.artifacts import Diagnosis
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.spec import (
     EXTENDED,
     MODEL,
@@ -18,11 +19,42 @@ from stringcast.stages.spec import (
     StageSummary,
 )
 
+VERDICT_TITLES = {
+    "none": "No cause: the simulation agrees with the trials",
+    "effect": "Cause found",
+    "ambiguous": "Cause undecided",
+    "partial": "Cause of a part found",
+    "unknown": "Cause unknown",
+    "insufficient": "Not enough data",
+}
+
 
 def summary(diagnosis: Diagnosis) -> StageSummary:
-    """Summarise the verdict, and what each cause is."""
+    """Summarise the verdict, what each cause is, and how well trials are predicted."""
     rows = [_cause_summary(cause) for cause in diagnosis.causes.itertuples()]
-    return StageSummary(diagnosis.verdict, diagnosis.sentence, pd.DataFrame(rows))
+    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    sentence = diagnosis.sentence
+    if document["causes"]:
+        sentence = f"{sentence} {describe_gain(document['gain'])}".strip()
+    title = VERDICT_TITLES[diagnosis.verdict]
+    return StageSummary(title, sentence, pd.DataFrame(rows))
+
+
+def describe_gain(gain: Mapping[str, Any]) -> str:
+    """Say by how much held-out trials miss both models; empty if it is not known.
+
+    gain: as of diagnosis.json.
+    """
+    sizes = gain["rms_m"]
+    if None in sizes.values():
+        return ""
+    base, extended, noise = (
+        f"{MM_PER_M * sizes[name]:.1f}" for name in ("base", "extended", "noise_floor")
+    )
+    return (
+        f"Trials that were left out of the fit are predicted to {extended} mm rms, "
+        f"and to {base} mm without causes (noise {noise} mm)."
+    )
 
 
 def _cause_summary(cause: Any) -> dict[str, str]:

@@ -1,12 +1,13 @@
 """Ends of ranges, and sentences on look-alikes and on the misfit that is left."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.diagnose import document
+from stringcast.stages.diagnose import document, summary
 from stringcast.stages.diagnose.document import verdict_sentence
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
@@ -106,3 +107,29 @@ def test_look_alikes_are_named_in_words():
         "These trials cannot distinguish maxwell slip and dahl friction: "
         "either it slips (probability 0.50), or it rubs (probability 0.50)."
     )
+
+
+@pytest.mark.parametrize(
+    ("causes", "base_m", "addition"),
+    [
+        (
+            [{"effect": "wind"}],
+            0.0045,
+            " Trials that were left out of the fit are predicted to 1.1 mm rms, and to "
+            "4.5 mm without causes (noise 1.0 mm).",
+        ),
+        ([{"effect": "wind"}], None, ""),  # no trial could be left out
+        ([], 0.0045, ""),  # both models are the same
+    ],
+)
+def test_the_terminal_states_the_gain_where_there_is_one(causes, base_m, addition):
+    sizes = {"base": base_m, "extended": 0.00112, "noise_floor": 0.001}
+    known = {"causes": causes, "gain": {"rms_m": sizes}}
+    finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})
+    diagnosis = SimpleNamespace(
+        verdict="effect",
+        sentence="A cause.",
+        finding=finding,
+        causes=pd.DataFrame(),
+    )
+    assert summary(diagnosis).sentence == f"A cause.{addition}"
