@@ -20,7 +20,7 @@ from stringcast.stages.spec import (
 )
 
 VERDICT_TITLES = {
-    "none": "No cause: the simulation agrees with the trials",
+    "none": "No cause",
     "effect": "Cause found",
     "ambiguous": "Cause undecided",
     "partial": "Cause of a part found",
@@ -37,6 +37,8 @@ def summary(diagnosis: Diagnosis) -> StageSummary:
     if document["causes"]:
         sentence = f"{sentence} {describe_gain(document['gain'])}".strip()
     title = VERDICT_TITLES[diagnosis.verdict]
+    if document["interrupted"]:
+        title = "Search interrupted"
     return StageSummary(title, sentence, pd.DataFrame(rows))
 
 

@@ -124,7 +124,7 @@ def test_look_alikes_are_named_in_words():
 )
 def test_the_terminal_states_the_gain_where_there_is_one(causes, base_m, addition):
     sizes = {"base": base_m, "extended": 0.00112, "noise_floor": 0.001}
-    known = {"causes": causes, "gain": {"rms_m": sizes}}
+    known = {"causes": causes, "gain": {"rms_m": sizes}, "interrupted": False}
     finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})
     diagnosis = SimpleNamespace(
         verdict="effect",
@@ -133,3 +133,8 @@ def test_the_terminal_states_the_gain_where_there_is_one(causes, base_m, additio
         causes=pd.DataFrame(),
     )
     assert summary(diagnosis).sentence == f"A cause.{addition}"
+    assert summary(diagnosis).title == "Cause found"
+
+    known["interrupted"] = True
+    diagnosis.finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})
+    assert summary(diagnosis).title == "Search interrupted"
