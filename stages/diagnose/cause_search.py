@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.diagnose.discretisation import unresolvable_trials
+from stringcast.stages.diagnose.discretisation import STEP_S, unresolvable_trials
 from stringcast.stages.diagnose.forward_selection import select_causes
 from stringcast.stages.diagnose.outlying_trials import (
     find_outlying_trial,
@@ -61,7 +61,8 @@ def search_until_trials_settle(
     A trial that is chaotic with the causes so far is left out, and returns once further
     causes resolve it. If the fit to all trials does not resolve it, it is left out for
     good. The search goes on from the causes. So it does with a trial that was outlying
-    and that they predict: a search with this trial has found others.
+    and that they predict: a search with this trial has found others. If trials are
+    chaotic in long steps, the search begins again in short ones.
     """
     criteria = settings.criteria
     returned = list[str]()
@@ -94,6 +95,13 @@ def search_until_trials_settle(
         state = reached.state
         if together is not None:
             reached = together
+            continue
+        may_shorten = settings.longest_step_s > STEP_S and _steps_are_long(state)
+        if chaotic and may_shorten:
+            # They may have led the causes astray as well
+            log.info("chaotic in long steps: %s", ", ".join(chaotic))
+            settings = replace(settings, longest_step_s=STEP_S)
+            reached = _begin_search(trials, settings, returned, None)
             continue
         if chaotic:
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
@@ -128,6 +136,7 @@ def _begin_search(
         np.random.default_rng(settings.seed),
         settings.starts,
         lambda share: settings.progress(0.3 * share),
+        settings.longest_step_s,
         keep_if_chaotic,
     )
     effects = candidate_effects(
@@ -178,6 +187,11 @@ def _trials_for_another_search(
         return trials
     log.info("predicted after all, and used again: %s", ", ".join(predicted))
     return trials.including_predicted(predicted)
+
+
+def _steps_are_long(state: SelectionState) -> bool:
+    base = state.prepared.base_fit.hypothesis.model
+    return base.string.largest_step > STEP_S
 
 
 def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:

@@ -89,6 +89,7 @@ def prepare_data(
     rng: np.random.Generator,
     starts: int,
     progress: Progress,
+    longest_step_s: float,
     keep_if_chaotic: Sequence[str] = (),
 ) -> PreparedData:
     """Fit the base model to the trials and correct their noise and numerical error.
@@ -103,6 +104,8 @@ def prepare_data(
     starts : int
         Number of starts of the search for the base model's parameters.
     progress : callable
+    longest_step_s : float
+        Of the simulation, where longer steps cost no accuracy [s].
     keep_if_chaotic : sequence of str
         Names of trials that need not be resolved.
 
@@ -131,7 +134,9 @@ def prepare_data(
     # Base model; its residuals determine outliers and noise
     likelihood = Likelihood(TrialData(tuple(chosen)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
-    likelihood = lengthen_steps_while_accurate(likelihood, chi, tolerance_m)
+    likelihood = lengthen_steps_while_accurate(
+        likelihood, chi, tolerance_m, longest_step_s
+    )
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
     # Discretisation error, discrepancy model, and the fit by its evidence

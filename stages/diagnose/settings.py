@@ -9,6 +9,7 @@ from scipy.special import ndtri
 
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
+from stringcast.stages.diagnose.discretisation import LONGEST_STEP_S
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.box import Box
@@ -21,7 +22,10 @@ INTERVAL_WIDENING = 1.4
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """The model and the settings of a diagnosis, as of `diagnose`."""
+    """The model and the settings of a diagnosis, as of `diagnose`.
+
+    longest_step_s: of the simulation, where longer steps cost no accuracy [s].
+    """
 
     model: Model
     obstacles: Sequence[Box]
@@ -32,6 +36,7 @@ class DiagnosisSettings:
     design: DesignSettings
     excluded_effects: Sequence[str]
     progress: Progress
+    longest_step_s: float = LONGEST_STEP_S
 
     @property
     def interval_half_width(self) -> float:

@@ -14,10 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.common import MM_PER_M
-from stringcast.stages.diagnose.discretisation import (
-    LONGEST_STEP_S,
-    discretisation_uncertainty,
-)
+from stringcast.stages.diagnose.discretisation import discretisation_uncertainty
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
@@ -29,7 +26,10 @@ MAX_ADDED_UNCERTAINTY = 0.1
 
 
 def lengthen_steps_while_accurate(
-    likelihood: Likelihood, chi: np.ndarray, tolerance_m: float
+    likelihood: Likelihood,
+    chi: np.ndarray,
+    tolerance_m: float,
+    longest_step_s: float,
 ) -> Likelihood:
     """Double the steps while that adds little to the uncertainty at the tips.
 
@@ -43,13 +43,15 @@ def lengthen_steps_while_accurate(
         Exponents of the fit.
     tolerance_m : float
         To which the tip of a trial must be resolved [m].
+    longest_step_s : float
+        To which steps are doubled at most [s].
     """
     uncertainty_m = _tip_uncertainty(likelihood, chi)
     is_resolved = uncertainty_m < tolerance_m
     if not is_resolved.any():
         return likelihood
     accurate = likelihood
-    while 2 * accurate.model.string.largest_step <= LONGEST_STEP_S:
+    while 2 * accurate.model.string.largest_step <= longest_step_s:
         longer = _with_doubled_step(accurate)
         added_m = _tip_uncertainty(longer, chi) - uncertainty_m
         added_m = added_m[is_resolved]

@@ -9,11 +9,11 @@ from synthetic_trials import simulate_trial, swing_angles, true_exponents
 
 from stringcast.stages.diagnose import discretisation
 from stringcast.stages.diagnose.discretisation import (
+    LONGEST_STEP_S,
     discretisation_uncertainty,
     with_second_order_mesh,
 )
 from stringcast.stages.diagnose.time_step import (
-    LONGEST_STEP_S,
     MAX_ADDED_UNCERTAINTY,
     lengthen_steps_while_accurate,
 )
@@ -42,7 +42,7 @@ def test_steps_are_as_long_as_they_cost_no_accuracy(arm, number, wanted_step_s):
     likelihood = likelihood_of_swing(arm, number)
     hypothesis = Hypothesis(likelihood.model)
     chi = true_exponents(hypothesis, TRUTH)
-    longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M)
+    longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M, LONGEST_STEP_S)
 
     assert longer.model.string.largest_step == wanted_step_s <= LONGEST_STEP_S
     before_m = discretisation_uncertainty(likelihood.data.trials, hypothesis, chi)
@@ -82,11 +82,11 @@ def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
 
     monkeypatch.setattr(discretisation, "measured_points", simulate_points)
     chi = true_exponents(Hypothesis(likelihood.model), TRUTH)
-    longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M)
+    longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M, LONGEST_STEP_S)
     assert longer.model.string.largest_step == 2e-3
 
 
 def test_steps_stay_where_no_trial_is_resolved(arm):
     likelihood = likelihood_of_swing(arm, 1)
     chi = true_exponents(Hypothesis(likelihood.model), TRUTH)
-    assert lengthen_steps_while_accurate(likelihood, chi, 1e-9) is likelihood
+    assert lengthen_steps_while_accurate(likelihood, chi, 1e-9, 4e-3) is likelihood

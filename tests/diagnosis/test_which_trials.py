@@ -16,6 +16,8 @@ from synthetic_trials import (
 
 from stringcast.stages.diagnose import cause_search, held_out_gain, selection_state
 from stringcast.stages.diagnose.discretisation import (
+    LONGEST_STEP_S,
+    STEP_S,
     subtract_discretisation_error,
     unresolvable_trials,
     with_second_order_mesh,
@@ -68,7 +70,7 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     """
     kept = []
 
-    def prepare(model, observations, tolerance_m, rng, starts, progress, keep):
+    def prepare(model, observations, tolerance_m, rng, starts, progress, step, keep):
         kept.append(tuple(keep))
         hypothesis = SimpleNamespace(model=None, causes=())
         return SimpleNamespace(
@@ -190,6 +192,40 @@ def test_a_trial_that_is_chaotic_with_causes_returns_once_if_others_resolve_it(
     assert [*used.left_out] == ["t2"]
 
 
+def test_a_search_begins_again_in_short_steps_if_long_ones_are_chaotic(monkeypatch):
+    """Steps were chosen with the base model, of another string than with the causes."""
+
+    def prepare(model, observations, tolerance, rng, starts, progress, step_s, keep):
+        steps_s.append(step_s)
+        trials = [SimpleNamespace(name=o.trial) for o in observations]
+        third_m = 9e-3 if step_s > STEP_S else 1e-4
+        hypothesis = SimpleNamespace(model=None, causes=())
+        return SimpleNamespace(
+            chaotic_trials=(),
+            data=SimpleNamespace(trials=trials),
+            trials=trials,
+            discretisation_uncertainty_m=np.array([0.0, 0.0, third_m]),
+            base_fit=SimpleNamespace(hypothesis=hypothesis),
+        )
+
+    def select(state, *given):
+        begun_with.append(state.fit.hypothesis.causes)
+        hypothesis = SimpleNamespace(causes=("wind",))
+        yield SelectionState(state.prepared, SimpleNamespace(hypothesis=hypothesis))
+
+    def keep_causes(prepared, found, *given):
+        return SelectionState(prepared, found.fit)
+
+    steps_s, begun_with = [], []
+    monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
+    monkeypatch.setattr(cause_search, "with_causes_found_before", keep_causes)
+    used, _, causes = settle(monkeypatch, prepare, select, steps_are_long=True)
+    assert steps_s == [LONGEST_STEP_S, STEP_S]
+    assert begun_with == [(), ()]  # long steps may have led to other causes
+    assert causes == ("wind",)
+    assert not used.left_out
+
+
 @pytest.mark.parametrize("is_predicted", [True, False])
 def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     is_predicted, monkeypatch
@@ -242,8 +278,9 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     assert used.left_out == ({} if is_predicted else {"t2": "of another motion"})
 
 
-def settle(monkeypatch, prepare, select):
+def settle(monkeypatch, prepare, select, steps_are_long=False):
     """Search three trials until it is settled which of them are used."""
+    monkeypatch.setattr(cause_search, "_steps_are_long", lambda state: steps_are_long)
     monkeypatch.setattr(cause_search, "prepare_data", prepare)
     monkeypatch.setattr(cause_search, "candidate_effects", lambda *given: [])
     monkeypatch.setattr(cause_search, "select_causes", select)
