@@ -14,6 +14,7 @@ from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.base_model import fit_base_model
 from stringcast.stages.diagnose.discrepancy_model import with_growth
 from stringcast.stages.diagnose.discretisation import (
+    LONGEST_STEP_S,
     correct_data_at,
     corrected_data_of,
     exclude_chaotic_trials,
@@ -89,7 +90,7 @@ def prepare_data(
     rng: np.random.Generator,
     starts: int,
     progress: Progress,
-    longest_step_s: float,
+    longest_step_s: float = LONGEST_STEP_S,
     keep_if_chaotic: Sequence[str] = (),
 ) -> PreparedData:
     """Fit the base model to the trials and correct their noise and numerical error.
