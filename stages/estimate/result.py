@@ -292,8 +292,8 @@ def describe_undetermined(
         )
     if ends := ", ".join(labels[~is_inside]):
         sentences.append(
-            f"This data cannot determine {ends}: the best value lies at the end of the "
-            "range, and the true one may lie beyond it."
+            f"This data cannot determine {ends}: the best value lies at an end of "
+            "its range."
         )
     return " ".join(sentences)
 

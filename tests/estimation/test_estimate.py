@@ -406,7 +406,7 @@ def test_a_parameter_at_the_end_of_its_range_is_told_from_one_that_is_loose():
     assert names[1] in loose
     assert "other values fit as well" in loose
     assert names[2] in at_end
-    assert "the end of the range" in at_end
+    assert "an end of its range" in at_end
     assert names[0] not in sentence
     every = np.ones(3, bool)
     assert describe_undetermined(parameters, every, every, "All known.") == "All known."
