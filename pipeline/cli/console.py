@@ -69,8 +69,10 @@ def print_summary(result: RunResult, console: Terminal) -> None:
         console.print(cast_panel(result))
     else:
         summary = result.stage.summary(result.final_artifact)
-        content = Group(Text(result.sentence), "", text_table(summary.table))
-        console.print(Panel(content, title=f"[bold]{escape(summary.title)}"))
+        parts: list[RenderableType] = [Text(result.sentence)]
+        if len(summary.table):
+            parts += ["", text_table(summary.table)]
+        console.print(Panel(Group(*parts), title=f"[bold]{escape(summary.title)}"))
 
     for iteration in result.iterations:
         if iteration.refusal_reason:

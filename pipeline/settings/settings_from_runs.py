@@ -297,7 +297,7 @@ def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
     """Refuse to move an arm unless its stored trials are known to be from it."""
     if not is_run_folder(folder) and "hardware" not in given:
         raise UserError(
-            f"trials={folder}: the dataset does not state the bench of its trials, so "
-            "the arm will not be moved. Give hardware=serial or hardware=virtual if "
-            "they were made there, or ask +experiment=diagnose alone."
+            f"trials={folder}: the dataset does not state which arm and camera made "
+            "its trials, so the arm will not be moved. Give hardware=serial or "
+            "hardware=virtual if they did, or run +experiment=diagnose."
         )

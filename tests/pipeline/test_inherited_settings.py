@@ -138,7 +138,7 @@ def test_a_dataset_brings_what_it_states_but_not_what_is_given():
 
 
 def test_an_arm_moves_only_where_the_bench_of_the_trials_is_known(tmp_path):
-    with pytest.raises(UserError, match="does not state the bench"):
+    with pytest.raises(UserError, match="does not state which arm"):
         refuse_unknown_bench(SAMPLE, {"seed"})
     refuse_unknown_bench(SAMPLE, {"hardware"})
     (tmp_path / "config.json").write_text("{}")

@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.common import MM_PER_M, interpolate_rows, step_lengths
@@ -52,12 +53,14 @@ def _draw_clock_profile(axes: Axes, profile: pd.DataFrame) -> None:
     model says. The interval is shaded.
     """
     offset_ms = profile["offset"] * MS_PER_S
-    axes.plot(offset_ms, profile["stretch"] * MM_PER_M, color="axis", label="geometry")
-    axes.set(xlabel="clock offset from estimate [ms]", ylabel="beyond string [mm]")
+    stretch_mm = profile["stretch"] * MM_PER_M
+    axes.plot(offset_ms, stretch_mm, color="axis", label="needed stretch")
+    axes.set(xlabel="clock offset from estimate [ms]", ylabel="stretch [mm]")
     other = axes.twinx()
     log_likelihood = profile["log_likelihood"]
     other.plot(offset_ms, log_likelihood, color="after", label="string model")
     other.set_ylabel("log likelihood")
+    other.yaxis.set_major_formatter(EngFormatter(sep=""))  # no power beside the axis
     ends_ms = profile[["low", "high"]].iloc[0] * MS_PER_S
     axes.axvspan(*ends_ms, color="measured", alpha=0.3, label="95 % interval")
     drawn, _ = axes.get_legend_handles_labels()
