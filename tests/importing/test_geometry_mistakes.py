@@ -34,6 +34,8 @@ ALL_MISTAKES = MISTAKES | FILE_MISTAKES
 QUICK = {
     "simulated": ("clean", "missing y of the tip", "trackers shuffled"),
     "sample": (
+        "trackers shuffled",
+        "90 % NaN",
         "joints 1 and 2 swapped",
         "cm named mm",
         "tracker's stamps doubled",

@@ -189,12 +189,18 @@ def shifted_fits(
 def median_residuals(
     prediction: Prediction, track: Track, offsets: np.ndarray
 ) -> np.ndarray:
-    """Return the median distance (C, 2) of the tip from its prediction [m]."""
+    """Return the median distance (C, 2) of the tip from its prediction [m].
+
+    It is 0 for strings that end before the track begins.
+    """
     points = prediction.points(track.s or prediction.length)
     residuals = []
     for rung, offset in enumerate(offsets):
         index = np.rint((track.t + offset - prediction.t[0]) / TICK_S).astype(int)
         is_within = index < len(prediction.t)
+        if not is_within.any():
+            residuals.append(np.zeros(2))
+            continue
         places = points[rung, np.maximum(index[is_within], 0)]
         residuals.append(np.median(track.xy[is_within] - places, axis=0))
     return np.array(residuals)

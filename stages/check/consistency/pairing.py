@@ -19,6 +19,8 @@ from stringcast.stages.check.consistency.judge import (
 from stringcast.stages.check.consistency.prediction import predict
 from stringcast.stages.check.consistency.record import Measurements, Recording
 
+# that a hand of another trial breaks: those of the points' distances from it
+LIMITS_OF_OTHER_HANDS = {"gap", "order"}
 SUSPICIOUS_MISFIT = 0.1  # a trial that misses by more may belong to another hand
 
 
@@ -43,8 +45,8 @@ def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
     dict
         The trial whose points fit, by the trial of the hand; only where they differ.
     """
-    # a hand of another trial breaks no limit but the distance of points from it
-    has_other_fault = any(limit.kind != "gap" for limit in verdict.broken.values())
+    broken = {limit.kind for limit in verdict.broken.values()}
+    has_other_fault = not broken <= LIMITS_OF_OTHER_HANDS
     if measured.length is None or has_other_fault:
         return {}
     is_suspicious = max(verdict.misfits.values(), default=0.0) > SUSPICIOUS_MISFIT
