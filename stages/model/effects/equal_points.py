@@ -25,7 +25,7 @@ class EqualPoints(StringEffect):
         Parameter(
             "excess",
             "1",
-            "string at the tip beyond its length, as a share of it",
+            "additional length at the tip over the string's length",
             0.0,
             0.06,
             0.0,
@@ -50,7 +50,7 @@ class EqualPoints(StringEffect):
             points,
             0.5 / (points - 1),
             "equal mass points",
-            "excess at the tip / length",
+            "additional / string's length",
         )
         axes.axhline(values["excess"], linestyle=":", color="0.5")
 

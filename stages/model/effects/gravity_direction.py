@@ -38,16 +38,20 @@ class GravityDirection(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw an arrow beside the vertical."""
+        """Draw an arrow beside the vertical, which is grey."""
         axes.quiver(
             [0, 0],
             [0, 0],
             [0, np.sin(values["tilt"])],
             [-1, -np.cos(values["tilt"])],
-            scale=2,
+            color=["0.7", "C0"],
+            angles="xy",
+            scale_units="xy",
+            scale=1,
         )
-        axes.set_xlabel("x")
-        axes.set_ylabel("y")
+        axes.set(xlim=(-0.6, 0.6), ylim=(-1.1, 0.1), aspect="equal")
+        axes.set_xlabel("gravity to the right [9.81 m/s2]")
+        axes.set_ylabel("upwards [9.81 m/s2]")
 
     @staticmethod
     def derive_parameters(tilt: Quantity) -> dict[str, Quantity]:
