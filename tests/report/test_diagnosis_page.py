@@ -588,6 +588,16 @@ def test_an_unknown_cause_is_in_addition_to_those_that_are_named(page_of):
 
 
 # --- truth of the pictures
+def test_only_a_cause_that_is_told_from_all_others_is_marked_as_likely(page_of):
+    def marks(kind):
+        page = page_of(VERDICTS[kind]())
+        classes = [a.get("class", "").split() for _, a in page.elements]
+        return sum("badge" in each and "good" in each for each in classes)
+
+    assert marks("effect") == 1
+    assert marks("ambiguous") == 0
+
+
 def test_no_cell_of_a_map_reaches_beyond_the_string():
     t = np.repeat(np.arange(3) * 0.01, 2)
     for s in ([0.16, 0.32], [0.32, 0.32]):

@@ -84,7 +84,12 @@ def rejected_card(record: DiagnosisRecord) -> Part | None:
 def causes_section(record: DiagnosisRecord) -> Section:
     """Show the causes with their parameters and laws, and the alternatives."""
     groups = record.diagnosis.causes.groupby("effect", sort=False)
-    cards = [_cause_card(str(name), rows) for name, rows in groups]
+    undecided = {
+        name for group in record.document["indistinguishable"] for name in group
+    }
+    cards = [
+        _cause_card(str(name), rows, name not in undecided) for name, rows in groups
+    ]
     parts: list[Part] = [Text(words) for words in _explain_verdict(record)]
     if cards:
         parts.append(Container("grid", cards))
@@ -112,8 +117,11 @@ def _alternative_title(record: DiagnosisRecord, name: str) -> str:
     return f"in addition, {title}" if is_addition else title
 
 
-def _cause_card(name: str, rows: pd.DataFrame) -> Card:
-    """Show a cause with the values and the law of its effect."""
+def _cause_card(name: str, rows: pd.DataFrame, is_decided: bool) -> Card:
+    """Show a cause with the values and the law of its effect.
+
+    is_decided: the data distinguish it from all other causes.
+    """
     sentence = str(rows["sentence"].iloc[0])
     parts: list[Part] = [Text(f"{sentence[:1].upper()}{sentence[1:]}.", "")]
     parameters = rows[rows["parameter"] != ""]
@@ -128,7 +136,8 @@ def _cause_card(name: str, rows: pd.DataFrame) -> Card:
     reference = f"Reference: {effect.reference}." if effect.reference else ""
     parts.append(Figure("", law_picture(effect, values), reference))
     probability = rows["probability"].iloc[0]
-    tone = "good" if probability > LIKELY_PROBABILITY else ""
+    is_likely = is_decided and probability > LIKELY_PROBABILITY
+    tone = "good" if is_likely else ""
     title = Markup('{} <span class="badge {}">{}</span>')
     return Card(
         title.format(effect_title(name), tone, format_percent(probability)), parts
