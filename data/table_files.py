@@ -108,9 +108,11 @@ def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
 
 def _missing_table_remedy(folder: Path) -> str:
     """Write the remedy for a missing table: files of other names may hold it."""
-    inner = sorted(folder.glob(f"*/{DATASET_FILE}"))
+    # runs lie in outputs/<date>/<time>-<name>; the newest is last
+    runs = sorted(folder.glob(f"*/*/{DATASET_FILE}"))
+    inner = [*sorted(folder.glob(f"*/{DATASET_FILE}")), *reversed(runs)]
     if inner:
-        return f"A dataset lies in {inner[0].parent}. Name that folder"
+        return f"A dataset lies in {inner[0].parent}. Name that folder."
     own_names = {table.name for table in (GRASP, *RUN_TABLES)}
     files = []
     for path in sorted(folder.iterdir()):

@@ -10,7 +10,7 @@ from stringcast.data.artifacts import ARM, POINTS
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_table
-from stringcast.data.table_files import with_trial
+from stringcast.data.table_files import read_rows, with_trial
 
 T = np.arange(40) * 0.01
 NOISE = np.random.default_rng(1).standard_normal((120, 2)) / 30
@@ -221,3 +221,14 @@ def test_keys_that_nobody_knows_are_kept(tmp_path):
     }
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
     assert read_metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
+
+
+def test_a_folder_of_runs_names_its_newest_run(tmp_path):
+    """Someone may name `outputs`, which holds runs by date and time."""
+    for run in ("2026-11-28/10-00-00-a", "2026-11-29/09-00-00-b"):
+        (tmp_path / run).mkdir(parents=True)
+        (tmp_path / run / "dataset.yaml").touch()
+    with pytest.raises(
+        DataError, match=r"lies in .*29.09-00-00-b\. Name that folder\.$"
+    ):
+        read_rows(ARM, tmp_path, {})
