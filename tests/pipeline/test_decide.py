@@ -29,6 +29,8 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
     wanted = not any(o.trial.startswith("performed") for o in observations)
     text = {
         "verdict": "ambiguous" if wanted else "effect",
+        "interrupted": False,
+        "causes": [],
         "trials": {"rejected": {**rejected, "t99": "no light"}},
     }
     text["next_experiment"] = (

@@ -56,7 +56,12 @@ def performed(trials, folder, diagnose):
 
 
 def said(**more):
-    text = {"trials": {"rejected": {}}, "next_experiment": None, **more}
+    text = {
+        "trials": {"rejected": {}},
+        "causes": [],
+        "next_experiment": None,
+        **more,
+    }
     row = {
         "verdict": "insufficient",
         "sentence": "So.",
