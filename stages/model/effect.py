@@ -42,7 +42,13 @@ from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.model import effect_plots
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.effect_plots import draw_line
-from stringcast.stages.model.engine.law_slots import SLOTS, Law, Quantity, law_arguments
+from stringcast.stages.model.engine.law_slots import (
+    SLOTS,
+    Law,
+    Quantity,
+    has_memory,
+    law_arguments,
+)
 from stringcast.stages.model.invariants import (
     Invariant,
     brakes,
@@ -342,5 +348,4 @@ def acts_abruptly(effect: type[Effect]) -> bool:
     So do contacts, and memory where the motion turns back: the error of a step is of
     first order there.
     """
-    has_memory = any("memory" in slot for slot in effect.laws())
-    return has_memory or is_position_dependent(effect)
+    return has_memory(effect.laws()) or is_position_dependent(effect)

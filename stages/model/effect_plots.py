@@ -13,6 +13,7 @@ from stringcast.stages.model.engine.law_slots import (
     MEMORY_SLOTS,
     SLOTS,
     Law,
+    has_memory,
     law_arguments,
     select_arguments,
 )
@@ -68,7 +69,7 @@ def draw_law(
     of_a_point : bool
         The values are per mass point, not of the material.
     """
-    if any(memory in laws for memory, _, _ in MEMORY_SLOTS.values()):
+    if has_memory(laws):
         draw_hysteresis(axes, laws, values, by_unit)
         return
     slot, law = next(iter(laws.items()))

@@ -128,6 +128,11 @@ MEMORY_SLOTS = {
 }
 
 
+def has_memory(laws: Mapping[str, Law]) -> bool:
+    """Return whether one of the laws, by slot, keeps a memory."""
+    return any(memory in laws for memory, _, _ in MEMORY_SLOTS.values())
+
+
 @cache
 def law_arguments(law: Callable[..., object]) -> tuple[str, ...]:
     """Return the names of a law's arguments, in order."""
