@@ -68,8 +68,7 @@ def fit_base_model(
             sample, chi = widen_range_if_supported(sample, chi, index)
         if sample is before:
             break
-    trials = with_model(likelihood.data.trials, sample.model)
-    widened = replace(likelihood.with_trials(trials), model=sample.model)
+    widened = likelihood.with_model(sample.model)
     return refine_solution(widened, chi, MAX_LAST_ITERATIONS)
 
 
@@ -106,11 +105,9 @@ def widen_range_if_supported(
         high = high * RANGE_WIDENING_FACTOR
     ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
     wider = replace(model, string=replace(model.string, ranges=ranges))
-    trials = with_model(likelihood.data.trials, wider)
     values = parameter_values(likelihood.parameters, chi[None])
     start = parameter_exponents(wider.parameters, values)
-    widened = replace(likelihood.with_trials(trials), model=wider)
-    widened = with_estimated_noise(widened, start[0])
+    widened = with_estimated_noise(likelihood.with_model(wider), start[0])
 
     # The gain of the log-likelihood at the best scale of the noise, as in `solver`
     before = widened.residuals(start)[0]

@@ -17,7 +17,6 @@ from stringcast.stages.common import MM_PER_M
 from stringcast.stages.diagnose.discretisation import discretisation_uncertainty
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.prepared_trial import with_model
 
 log = logging.getLogger(__name__)
 
@@ -67,9 +66,7 @@ def lengthen_steps_while_accurate(
 def _with_doubled_step(likelihood: Likelihood) -> Likelihood:
     model = likelihood.model
     string = replace(model.string, largest_step=2 * model.string.largest_step)
-    model = replace(model, string=string)
-    trials = with_model(likelihood.data.trials, model)
-    return replace(likelihood.with_trials(trials), model=model)
+    return likelihood.with_model(replace(model, string=string))
 
 
 def _tip_uncertainty(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:

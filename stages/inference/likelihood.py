@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
@@ -104,6 +104,11 @@ class Likelihood:
     def with_trials(self, trials: Sequence[PreparedTrial]) -> Likelihood:
         """Replace the trials by the same ones prepared otherwise."""
         return replace(self, data=replace(self.data, trials=tuple(trials)))
+
+    def with_model(self, model: Model) -> Likelihood:
+        """Replace the model, also that of the trials."""
+        trials = with_model(self.data.trials, model)
+        return replace(self.with_trials(trials), model=model)
 
 
 def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
