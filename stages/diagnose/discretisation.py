@@ -30,7 +30,7 @@ from stringcast.stages.diagnose.rules import (
     NEGLIGIBLE_LOG_EVIDENCE,
 )
 from stringcast.stages.inference.batch import measured_points
-from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.hypothesis import ABRUPT_STEP_S, Hypothesis
 from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
     trials_with_reestimated_start,
@@ -52,7 +52,7 @@ from stringcast.stages.model.parameter import parameter_values
 
 # 1 mm of error at the tip in a plain cast, which is corrected
 SEGMENTS = 20
-STEP_S = 1e-3
+STEP_S = ABRUPT_STEP_S  # for any cause
 LONGEST_STEP_S = 4e-3  # where the motion is gentle (`time_step`)
 MAX_CORRECTION_PASSES = 8  # it mostly takes two
 # Of the uncertainty of an error to the error itself. Extrapolation takes an error to
@@ -61,12 +61,10 @@ MAX_CORRECTION_PASSES = 8  # it mostly takes two
 MAX_UNCERTAINTY_RATIO = 0.25
 
 
-def with_second_order_mesh(model: Model, step_s: float = STEP_S) -> Model:
+def with_second_order_mesh(model: Model) -> Model:
     """Replace the mesh by half cells at the ends and implicit steps.
 
     The error of the mass points is then of second order, and extrapolates.
-
-    step_s: of time, at most [s].
     """
     string = replace(
         model.string,
@@ -74,7 +72,7 @@ def with_second_order_mesh(model: Model, step_s: float = STEP_S) -> Model:
         tip_cell=0.5,
         grasp_cell=0.5,
         integrator=ImplicitLeapfrog(),
-        largest_step=step_s,
+        largest_step=STEP_S,
     )
     return replace(model, string=string)
 
