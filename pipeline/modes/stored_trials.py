@@ -40,7 +40,10 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 def refuse_unlike_clocks(
     experiment: Experiment, folder: Path, observations: Sequence[Observation]
 ) -> None:
-    """Raise DataError for a dataset whose clocks are certainly not together."""
+    """Raise DataError for a dataset whose clocks are certainly not together.
+
+    A run, or a model with a clock offset, needs no test: the offset is known.
+    """
     if is_run_folder(folder) or TimeOffset in experiment.model.effects:
         return
     # takes seconds to import
