@@ -13,13 +13,16 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from stringcast.data.importers.columns import LENGTH_UNITS
 from stringcast.data.importers.gather import ImportedTables
-from stringcast.data.importers.reader import UsedColumn
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.dataset_import import (
     BenchHints,
     imported_grasp_poses,
+)
+from stringcast.pipeline.commands.import_corrections import (
+    must_confirm,
+    option_words,
+    states_direction,
 )
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
@@ -29,7 +32,9 @@ from stringcast.stages.check.consistency.check import (
     describe_contradiction,
     describe_fit,
 )
-from stringcast.stages.check.consistency.corrections import Correction
+from stringcast.stages.check.consistency.corrections.directions import (
+    PointDirections,
+)
 from stringcast.stages.check.consistency.judge import Verdict, judge
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import Proposal, find_answer
@@ -38,10 +43,6 @@ from stringcast.stages.check.measured import drop_spikes
 MIN_ROWS = 5  # of a table: fewer show nothing
 MAX_FLAT_SHARE = 0.02  # of the other coordinate's range: one that never changes
 MAX_PLACES = 6  # of stated arc length that are looked at
-# what the files leave open, and one answer is certain: it is taken and said
-CERTAIN_KINDS = {"unit", "y_down", "x_left", "exchange_axes", "degrees"}
-
-
 TABLE_WORDS = {
     "points": "points of the string",
     "arm": "the arm's log",
@@ -175,20 +176,16 @@ def change_of(
     )
     if not all(words_of_each):
         remedies = ". ".join(correction.remedy for correction in corrections)
-        if must_state_otherwise(proposal, options):
+        is_turned = any(isinstance(c, PointDirections) for c in corrections)
+        if is_turned and states_direction(options):
             remedies = "Look at --y-down and --plane, which are given"
         raise DataError(f"{reason}. {remedies}.")
-    must_ask = any(
-        correction.kind not in CERTAIN_KINDS
-        or contradicts_statement(correction, tables)
-        for correction in corrections
-    )
     files = dict.fromkeys(table_files(c.table, tables) for c in corrections)
     fields = dict.fromkeys(correction.field for correction in corrections)
     return Change(
         reason,
         words=list(chain.from_iterable(words_of_each)),
-        must_ask=must_ask,
+        must_ask=any(must_confirm(c, tables) for c in corrections),
         file=", ".join(filter(None, files)),
         field=", ".join(fields),
     )
@@ -213,175 +210,6 @@ def statements_for_files(proposal: Proposal) -> str:
         field = correction.field.removeprefix("string.").removeprefix("arm.")
         statements.append(f"{table}, {field}: {correction.statement}")
     return " and ".join(statements)
-
-
-def must_state_otherwise(proposal: Proposal, options: argparse.Namespace) -> bool:
-    """Return whether a direction is wrong that the user stated."""
-    kinds = {correction.kind for correction in proposal.corrections}
-    directions = {"y_down", "x_left", "exchange_axes"}
-    return bool(kinds & directions and (options.y_down or options.plane))
-
-
-def contradicts_statement(correction: Correction, tables: ImportedTables) -> bool:
-    """Return whether names of columns or options state what is wrong."""
-    if correction.kind == "degrees":
-        joints = [c for c in tables.used_columns if c.role.startswith("q")]
-        return any(column.unit == "rad" and is_unit_stated(column) for column in joints)
-    if correction.kind == "unit":
-        if {"length", "links", "base"} & {*correction.parts}:
-            return True
-        columns = length_columns(correction, tables)
-        return any(is_unit_stated(column) for column in columns)
-    return False
-
-
-def is_unit_stated(column: UsedColumn) -> bool:
-    """Return whether the name of a column, or an option, states its unit."""
-    if column.how.startswith("--") and column.how != "--map":
-        return True
-    words = column.column.lower().replace("[", "_").replace("]", "_")
-    parts = {part.strip("() ") for part in words.replace(" ", "_").split("_")}
-    return column.unit in parts
-
-
-def length_columns(correction: Correction, tables: ImportedTables) -> list[UsedColumn]:
-    """Return the columns whose unit a correction changes."""
-    columns = []
-    for column in tables.used_columns:
-        if column.role in ("x", "y"):
-            is_wrong = "hand" in correction.parts
-        else:  # a point's roles are such as tip.x
-            is_length = column.role == "s" or column.role.endswith((".x", ".y"))
-            is_wrong = is_length and bool({"xy", "s"} & {*correction.parts})
-        if is_wrong:
-            columns.append(column)
-    return columns
-
-
-def option_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the options that perform a correction; empty if none does."""
-    words: list[str] = []
-    match correction.kind:
-        case "unit":
-            words = unit_words(correction, tables, options)
-        case "y_down" | "x_left" | "exchange_axes":
-            words = direction_words(correction.kind, tables, options)
-        case "exchange_s" if len(options.at) == 2:
-            words = exchange_words(*options.at)
-        case "degrees" if options.deg is not False:  # no radians are stated
-            words = ["--deg"]
-        case "absolute":
-            words = ["--absolute"]
-        case "counts" | "joint_order":
-            words = joint_words(correction, tables, options)
-        case "base" if correction.values:
-            x, y = correction.values
-            words = [f"--base={x:g},{y:g}"]
-        case "rate":
-            words = rate_words(correction.factor, tables, options)
-    return words
-
-
-def exchange_words(first: str, second: str) -> list[str]:
-    """Return the options that exchange the arc lengths of two points.
-
-    first, second: the values of `--at` that place them, such as tip=0.30.
-    """
-    first_name, _, first_s = first.partition("=")
-    second_name, _, second_s = second.partition("=")
-    return ["--at", f"{first_name}={second_s}", "--at", f"{second_name}={first_s}"]
-
-
-def direction_words(
-    kind: str, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the option that turns the points' directions, not those of a hand.
-
-    `--plane` would turn a measured hand, too, and `--y-down` one in the same file.
-    """
-    if options.y_down or options.plane:
-        return []
-    if kind == "y_down":
-        hand_files = {c.file for c in tables.used_columns if c.role == "y"}
-        point_files = {c.file for c in tables.used_columns if c.role.endswith(".y")}
-        return [] if hand_files & point_files else ["--y-down"]
-    planes = {"x_left": "--plane=-x,y", "exchange_axes": "--plane=y,x"}
-    return [planes[kind]] if tables.joints else []
-
-
-def rate_words(
-    factor: float, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the option that states another frame rate, if no times are in files.
-
-    factor: by which the times of points are multiplied.
-    """
-    fps = options.fps
-    clocks = [column for column in tables.used_columns if column.role == "t"]
-    counts_frames = any(column.unit.startswith("frames") for column in clocks)
-    timed_files = {column.file for column in clocks}
-    point_files = {c.file for c in tables.used_columns if c.role.endswith(".x")}
-    if fps and (counts_frames or not point_files <= timed_files):
-        return ["--fps", f"{fps / factor:g}"]
-    return []
-
-
-def unit_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the options that state another unit of length."""
-    parts, factor = {*correction.parts}, correction.factor
-    words: list[str] = []
-    columns = length_columns(correction, tables)
-    files = {column.file.name: column.unit for column in columns}
-    for file, unit in sorted(files.items()):
-        right = unit_of_size(factor * LENGTH_UNITS.get(unit, np.nan))
-        text = f"{file}={right}"
-        if not right or text in options.unit:
-            return []
-        words += ["--unit", text]
-    if parts & {"xy", "s", "hand"} and not files:
-        return []
-    if "length" in parts and options.length:
-        words.append(f"--length={options.length * factor:.6g}")
-    if "links" in parts and options.links:
-        links = ",".join(f"{link * factor:.6g}" for link in options.links)
-        words.append(f"--links={links}")
-    if "base" in parts and any(options.base):
-        x, y = options.base
-        words.append(f"--base={x * factor:.6g},{y * factor:.6g}")
-    return words
-
-
-def unit_of_size(size: float) -> str:
-    """Return the shortest name of the unit of this size [m]; empty if there is none."""
-    names = []
-    for name, metres in LENGTH_UNITS.items():
-        if np.isclose(metres, size, rtol=1e-6):
-            names.append(name)
-    return min(names, key=len, default="")
-
-
-def joint_words(
-    correction: Correction, tables: ImportedTables, options: argparse.Namespace
-) -> list[str]:
-    """Return the options that take joints in another order, or as counts."""
-    if any(text.startswith("q") for text in options.map):
-        return []
-    column_of = {c.role: c.column for c in tables.used_columns}
-    names = tables.joints
-    words: list[str] = []
-    if correction.kind == "joint_order":
-        for name, number in zip(names, correction.order, strict=True):
-            words += ["--map", f"{name}={column_of[names[number]]}"]
-        return words
-    words.append("--counts")
-    if correction.zero:
-        for name in names:
-            words += ["--map", f"{name}={column_of[name]}-{correction.zero}"]
-    return words
 
 
 def options_with(

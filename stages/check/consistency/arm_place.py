@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from stringcast.data.metadata import DATASET_FILE
-from stringcast.stages.check.consistency.corrections import (
+from stringcast.stages.check.consistency.corrections.base import (
     Correction,
     apply_corrections,
 )
@@ -64,6 +64,25 @@ class ArmPlaces(NamedTuple):
         return cls(*map(np.concatenate, zip(*fits, strict=True)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class ArmElsewhere(Correction):
+    """The arm's joint 1 stands at another place.
+
+    place: (2,) [m]. is_shown: whether the motion shows it well enough to state it.
+    """
+
+    table = DATASET_FILE
+    field = "arm.base"
+    statement: str
+    remedy: str
+    place: tuple[float, float]
+    is_shown: bool
+
+    def undo(self, measured: Measurements) -> Measurements | None:
+        """Put the arm to the place."""
+        return replace(measured, base=self.place)
+
+
 def base_corrections(
     measured: Measurements, first: tuple[Correction, ...]
 ) -> Iterator[tuple[Correction, ...]]:
@@ -97,27 +116,23 @@ def base_corrections(
     yield (*first, base_correction(fitted.places[best], float(distances.max())))
 
 
-def base_correction(place: np.ndarray, uncertainty: float) -> Correction:
+def base_correction(place: np.ndarray, uncertainty: float) -> ArmElsewhere:
     """Return the correction that puts the arm to a place (2,) [m].
 
-    It states no place if others at a distance of `uncertainty` [m] fit as well.
+    Others at a distance of `uncertainty` [m] fit as well.
     """
     x, y = (round(float(value), 3) for value in place)
-    values: tuple[float, ...] = (x, y)
+    is_shown = uncertainty <= MAX_PLACE_UNCERTAINTY_M
     fit = f"about ({x:.3f}, {y:.3f}) m"
     advice = f"; a fit says base: [{x:.3f}, {y:.3f}]"
-    if uncertainty > MAX_PLACE_UNCERTAINTY_M:
-        values = ()
+    if not is_shown:
         fit += f", but also others up to {uncertainty:.2g} m from it"
         advice = ", as the motion does not show it well enough"
-    return Correction(
-        table=DATASET_FILE,
-        field="arm.base",
+    return ArmElsewhere(
         statement=f"the arm stands elsewhere: the string's motion fits a base of {fit}",
         remedy=f"Measure where joint 1 sits in the coordinates of the points{advice}",
-        undo=lambda measured: replace(measured, base=(x, y)),
-        kind="base",
-        values=values,
+        place=(x, y),
+        is_shown=is_shown,
     )
 
 

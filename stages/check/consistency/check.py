@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from stringcast.data.dataset import exclude_stray_points
-from stringcast.stages.check.consistency.corrections import Correction
+from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
 from stringcast.stages.check.consistency.judge import Verdict, reason_beside_geometry
 from stringcast.stages.check.consistency.limits import BrokenLimit

@@ -9,14 +9,28 @@ from itertools import product
 import numpy as np
 
 from stringcast.stages.check.consistency.arm_place import base_corrections
-from stringcast.stages.check.consistency.corrections import (
-    DIRECTIONS,
-    PACES,
-    RATES,
+from stringcast.stages.check.consistency.corrections.base import (
     Correction,
     apply_corrections,
-    scale_all_times,
+)
+from stringcast.stages.check.consistency.corrections.catalogue import (
     single_corrections,
+)
+from stringcast.stages.check.consistency.corrections.directions import (
+    DIRECTIONS,
+    PointDirections,
+)
+from stringcast.stages.check.consistency.corrections.joints import (
+    AbsoluteAngles,
+    Degrees,
+)
+from stringcast.stages.check.consistency.corrections.lengths import WrongUnit
+from stringcast.stages.check.consistency.corrections.times import (
+    PACES,
+    RATES,
+    Pace,
+    PointRate,
+    scale_all_times,
 )
 from stringcast.stages.check.consistency.judge import (
     MAX_MISFIT_RATIO,
@@ -145,12 +159,12 @@ def pair_candidates(
 ) -> Iterator[tuple[Correction, ...]]:
     """Yield pairs of corrections that people need."""
     singles = list(singles)
+    units = [c for c in singles if isinstance(c, WrongUnit)]
     # with s in another unit, all points would lie at one place
-    units = [c for c in singles if c.kind == "unit" and "s" not in c.parts]
-    kinds = ("y_down", "x_left", "exchange_axes", "degrees", "absolute")
-    others = [c for c in singles if c.kind in kinds]
-    yield from product(units, others)
-    angles = [c for c in others if c not in DIRECTIONS]
+    units = [c for c in units if "s" not in c.parts]
+    point_directions = [c for c in singles if isinstance(c, PointDirections)]
+    angles = [c for c in singles if isinstance(c, Degrees | AbsoluteAngles)]
+    yield from product(units, [*point_directions, *angles])
     yield from product(DIRECTIONS, angles)
     points = [c for c in units if c.parts == ("xy",)]
     for correction in (*DIRECTIONS, *points, *angles):
@@ -174,10 +188,9 @@ def consistent_proposals(
         is_castable = MIN_CORRECTED_LENGTH_M < length < MAX_CORRECTED_LENGTH_M
         if not is_castable or is_seen_near_hand(corrected, length):
             continue
-        kinds = {correction.kind for correction in corrections}
         if before.broken:
             is_better = True
-        elif kinds <= {"rate", "pace"}:
+        elif all(isinstance(c, PointRate | Pace) for c in corrections):
             is_better = relative_misfit(verdict) < MAX_RATE_RATIO * before_relative
         else:
             is_better = verdict.misfit < MAX_MISFIT_RATIO * before.misfit

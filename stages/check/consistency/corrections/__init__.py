@@ -1,0 +1,1 @@
+"""Corrections: each undoes one common mistake in measurements."""
