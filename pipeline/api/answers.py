@@ -304,7 +304,7 @@ def estimate(
             used,
             None,
             seed=experiment.seed,
-            manipulation=1,
+            cast_number=1,
             progress=progress,
         )
     return EstimateResult(artifact, experiment)

@@ -165,7 +165,7 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    manipulation: int,
+    cast_number: int,
     candidates: Annotated[int, Field(ge=1)],
     matching: Matching,
     progress: Progress = lambda share: None,
@@ -173,11 +173,11 @@ def estimate(
     """Search the highest matching rate among uniform candidates.
 
     Arguments after `*` are settings, except for those that a run supplies: `seed`,
-    `manipulation` (the number of the cast, from 1) and `progress`.
+    `cast_number` (the number of the cast, from 1) and `progress`.
     """
     targets = matching_targets(model, observations, matching)
     before = start_chi(model, previous)  # exponents (P,) in [0, 1]
-    rng = np.random.default_rng([seed, manipulation])
+    rng = np.random.default_rng([seed, cast_number])
     chi = rng.uniform(0, 1, (candidates, len(before)))
     search = Candidates("{name}", chi, matching_rate(targets, chi))
     return build_search_estimate(targets, before, search, seed)

@@ -22,7 +22,7 @@ LINES = Table(
     parse_columns("""
     condition (text): experiment of paper.yaml
     seed [1] (int): seed of the run
-    manipulation [1] (int): number of the cast
+    cast [1] (int): number of the cast
     moment [1] (int): from 0
     kind (text): arm, measured, or foretold: simulated when the motion was chosen
     t [s]: time; 0 is the start of the movement
@@ -36,7 +36,7 @@ HANDS = Table(
     parse_columns("""
     condition (text): experiment of paper.yaml
     seed [1] (int): seed of the run
-    manipulation [1] (int): number of the cast
+    cast [1] (int): number of the cast
     t [s]: time; 0 is the start of the movement
     x [m]: position
     y [m]: position
@@ -48,7 +48,7 @@ MATCHING = Table(
     parse_columns("""
     condition (text): experiment of paper.yaml
     seed [1] (int): seed of the run
-    manipulation [1] (int): number of the cast
+    cast [1] (int): number of the cast
     t [s]: time; 0 is the start of the movement
     before [1]: with the parameters used for the motion
     after [1]: with those estimated from this cast
@@ -72,7 +72,7 @@ PARAMETERS = Table(
     parse_columns("""
     condition (text): experiment of paper.yaml
     seed [1] (int): seed of the run
-    manipulation [1] (int): number of the cast
+    cast [1] (int): number of the cast
     symbol (text): as in the paper
     value: in `unit`
     unit (text): as in the paper
@@ -116,11 +116,11 @@ def cast_tables(
 
         arm = build_dataclass(Arm, settings["arm"], "arm", "config.json")
         is_of_run = (casts["condition"] == run.condition) & (casts["seed"] == run.seed)
-        for cast in casts[is_of_run].itertuples():
-            number = cast.manipulation
+        for row in casts[is_of_run].itertuples():
+            number = row.cast
             path = folder / run.folder / "iterations" / f"{number:02d}"
-            key = {"condition": run.condition, "seed": run.seed, "manipulation": number}
-            for name, frame in read_cast(path, arm, cast.t_closest).items():
+            key = {"condition": run.condition, "seed": run.seed, "cast": number}
+            for name, frame in read_cast(path, arm, row.t_closest).items():
                 parts[name].append(frame.assign(**key))
 
     tables = {}
@@ -139,7 +139,7 @@ def parameter_table(folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
         if paths:
             frame = read_table(Estimate.TABLES["parameters"], paths[-1])
             number = int(paths[-1].parts[-3])
-            key = {"condition": run.condition, "seed": run.seed, "manipulation": number}
+            key = {"condition": run.condition, "seed": run.seed, "cast": number}
             frames.append(frame.assign(**key))
     if not frames:
         return PARAMETERS.empty()

@@ -37,7 +37,7 @@ RUNS = Table(
     state (text): done or failed
     error (text): why it failed
     hit_at [1]: cast in which the tip reached the target; infinite if in none
-    manipulations [1] (int): casts made
+    casts [1] (int): casts made
     budget [1] (int): casts allowed
     seconds [s]: duration of the run
     folder (text): folder of the run, relative to this file
@@ -49,7 +49,7 @@ CASTS = Table(
     parse_columns("""
     condition (text): experiment of paper.yaml; nine: three strings, three targets
     seed [1] (int): seed of the run
-    manipulation [1] (int): number of the cast, from 1
+    cast [1] (int): number of the cast, from 1
     hit (bool): the tip reached the target and the string touched no obstacle
     miss_m [m]: closest approach of the tip to the target's centre
     t_closest [s]: time of the closest approach
@@ -117,14 +117,14 @@ def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
         casts = []
         if job.state == DONE_STATE:
             casts = read_casts(ledger, job.key)
-        hits = [cast["manipulation"] for cast in casts if cast["hit"]]
+        hits = [cast["cast"] for cast in casts if cast["hit"]]
         row = {
             "condition": experiment,
             "seed": job.settings["seed"],
             "state": job.state,
             "error": job.error,
             "hit_at": min(hits, default=np.inf),
-            "manipulations": len(casts),
+            "casts": len(casts),
             "budget": job.settings["max_casts"],
             "seconds": job.seconds,
             "folder": job.key,
@@ -135,7 +135,7 @@ def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
 
 def read_casts(ledger: Ledger, key: str) -> list[dict[str, Any]]:
     """Return the casts of a job with the names of table CASTS."""
-    return [{"manipulation": cast.pop("number"), **cast} for cast in ledger.casts(key)]
+    return [{"cast": cast.pop("number"), **cast} for cast in ledger.casts(key)]
 
 
 def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:

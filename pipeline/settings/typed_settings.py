@@ -24,7 +24,7 @@ from stringcast.stages.plugins import PLUGIN_PREFIX, load_object, plugin_folders
 
 BuiltT = TypeVar("BuiltT")
 # Arguments that a run supplies itself.
-RUN_ARGUMENTS = ("seed", "manipulation", "trial", "progress")
+RUN_ARGUMENTS = ("seed", "cast_number", "trial", "progress")
 # Settings that name a folder, or nothing.
 PATH_SETTINGS = ("trials", "model_from", "camera_from")
 # Settings of a stage's block that are no arguments: the function and its wiring.

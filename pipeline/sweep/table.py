@@ -27,7 +27,7 @@ SWEEP_TABLE = Table(
     seconds [s]: duration of the last attempt
     host (text): machine of the last attempt
     hit [1]: 1: the tip reached the target, 0: it did not; NaN: unknown
-    manipulations [1]: casts made, or trials estimated from
+    casts [1]: casts made, or trials estimated from
     E_before [1]: E before the last estimation
     E_after [1]: E after the last estimation
     miss_m [m]: closest approach of the tip in the last cast
@@ -112,7 +112,7 @@ def job_row(ledger: Ledger, job: Job) -> dict[str, Any]:
     casts = ledger.casts(job.key) if job.state == DONE_STATE else []
     last = casts[-1] if casts else {}
     hits = [cast["hit"] for cast in casts if "hit" in cast]
-    outcome = {"hit": any(hits) if hits else None, "manipulations": len(casts) or None}
+    outcome = {"hit": any(hits) if hits else None, "casts": len(casts) or None}
     for name in ("E_before", "E_after", "miss_m"):
         outcome[name] = last.get(name)
     for name, value in outcome.items():

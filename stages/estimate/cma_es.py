@@ -39,7 +39,7 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    manipulation: Annotated[int, Field(ge=1)],
+    cast_number: Annotated[int, Field(ge=1)],
     candidates: Annotated[int, Field(ge=1)],
     sigma: Annotated[float, Field(gt=0, le=1)],
     population: Annotated[int, Field(ge=4)],
@@ -53,13 +53,13 @@ def estimate(
     Parameters
     ----------
     previous
-        Estimate of the last manipulation, where the search starts.
-    manipulation
-        Number of the manipulation, from 1.
+        Estimate of the last cast, where the search starts.
+    cast_number
+        Number of the cast, from 1.
     candidates
         Number of candidates.
     sigma
-        First step in chi, which is divided by `manipulation`.
+        First step in chi, which is divided by `cast_number`.
     population
         Candidates of a generation.
     matching
@@ -70,7 +70,7 @@ def estimate(
     count = len(before)
     rng = np.random.default_rng(seed)
     bounds = np.tile([0.0, 1.0], (count, 1))
-    step = sigma / manipulation
+    step = sigma / cast_number
 
     def start_search(mean: np.ndarray, search_seed: int) -> CMA:
         return CMA(

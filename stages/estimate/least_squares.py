@@ -56,7 +56,7 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    manipulation: Annotated[int, Field(ge=1)],
+    cast_number: Annotated[int, Field(ge=1)],
     starts: Annotated[int, Field(ge=1)],
     screening: Annotated[int, Field(ge=1)],
     iterations: Annotated[int, Field(ge=1)],
@@ -71,9 +71,9 @@ def estimate(
     Parameters
     ----------
     previous
-        Estimate of the last manipulation, one of the starts and of those that are
+        Estimate of the last cast, one of the starts and of those that are
         fitted to the whole trials.
-    seed, manipulation
+    seed, cast_number
         Of the random candidates.
     starts
         Number of candidates that are refined.
@@ -86,7 +86,7 @@ def estimate(
     """
     targets = matching_targets(model, observations, matching)
     before = start_chi(model, previous)
-    rng = np.random.default_rng([seed, manipulation])
+    rng = np.random.default_rng([seed, cast_number])
     drawn = rng.uniform(0, 1, (screening, len(before)))
     # Known values of added effects are refined, but not drawn from their whole range,
     # where a dry friction, say, needs a hundred times as many steps.

@@ -29,7 +29,7 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    manipulation: Annotated[int, Field(ge=1)],
+    cast_number: Annotated[int, Field(ge=1)],
     candidates: Annotated[int, Field(ge=1)],
     chi_0: Annotated[float, Field(gt=0, le=1)],
     beta: Annotated[float, Field(gt=0, le=1)],
@@ -46,8 +46,8 @@ def estimate(
     Parameters
     ----------
     previous
-        Estimate of the last manipulation, where the search starts.
-    manipulation
+        Estimate of the last cast, where the search starts.
+    cast_number
         M, from 1.
     candidates
         Number of candidates.
@@ -67,7 +67,7 @@ def estimate(
     best, best_rate = before, np.nan_to_num(rate[0], nan=-np.inf)
     for first in range(1, candidates, batch):
         m = np.arange(first, min(first + batch, candidates))
-        step = (chi_0 / manipulation * beta**m)[:, None]
+        step = (chi_0 / cast_number * beta**m)[:, None]
         drawn = best + step * rng.uniform(-1, 1, (len(m), len(before)))
         drawn = np.clip(drawn, 0, 1)
         drawn_rate = matching_rate(targets, drawn)

@@ -19,7 +19,7 @@ def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimat
         observations,
         estimate,
         seed=call.seed,
-        manipulation=max(call.number, 1),  # a look at the string is none
+        cast_number=max(call.number, 1),  # a look at the string is none
         progress=call.progress,
     )
     return result

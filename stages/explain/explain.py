@@ -59,7 +59,7 @@ def explain(
     tolerance_m: float,
     *,
     seed: int,
-    manipulation: Annotated[int, Field(ge=1)],
+    cast_number: Annotated[int, Field(ge=1)],
     seconds: Annotated[float, Field(ge=0)],
     finalists: Annotated[int, Field(ge=1)],
     starts: Annotated[int, Field(ge=1)],
@@ -84,7 +84,7 @@ def explain(
         Whether the last trial was not within what was predicted.
     tolerance_m : float
         Tip misfit that does not matter [m].
-    seed, manipulation : int
+    seed, cast_number : int
         Of the random starts.
     seconds : float
         Processor time after which no further cause is fitted [s].
@@ -116,7 +116,7 @@ def explain(
     fit_model = partial(
         fit_from_nothing,
         seed=seed,
-        manipulation=manipulation,
+        cast_number=cast_number,
         starts=starts,
         screening=screening,
         iterations=iterations,

@@ -31,7 +31,7 @@ def run(
         surprise.is_surprising,
         min(target.w, target.h) / 2,
         seed=call.seed,
-        manipulation=call.number,
+        cast_number=call.number,
         progress=call.progress,
     )
     return explanation

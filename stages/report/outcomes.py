@@ -99,7 +99,7 @@ class Outcome:
 
 CAST_OUTCOMES = (
     Outcome("hit", "hit rate", "%", mean_share, scale=100.0, bounds=(0.0, 1.0)),
-    Outcome("manipulations", "casts", "", arithmetic_mean, bounds=(1.0, np.inf)),
+    Outcome("casts", "casts", "", arithmetic_mean, bounds=(1.0, np.inf)),
     Outcome("E_after", "matching rate E", "", arithmetic_mean, bounds=(0.0, 1.0)),
     Outcome("miss_m", "closest approach", "mm", arithmetic_mean, scale=1e3),
 )

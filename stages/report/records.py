@@ -417,13 +417,11 @@ class PaperRecord:
     def cast_rows(self, table: str, condition: str, number: int) -> pd.DataFrame:
         """Return the rows of a table of one cast of the run that is drawn."""
         rows = self.rows_of(table, condition)
-        return rows[rows["manipulation"] == number]
+        return rows[rows["cast"] == number]
 
     def cast_numbers(self, condition: str) -> list[int]:
         """Return the numbers of the casts of the run that is drawn, if one is done."""
-        return sorted(
-            self.rows_of("lines", condition)["manipulation"].unique().tolist()
-        )
+        return sorted(self.rows_of("lines", condition)["cast"].unique().tolist())
 
     def cast_verdict(self, condition: str, number: int) -> pd.Series:
         """Return the row of table casts of one cast of the run that is drawn."""

@@ -372,7 +372,7 @@ def sought(monkeypatch, arm, camera, observe):
             is_surprising,
             tolerance_m=TOLERANCE_M,
             seed=0,
-            manipulation=1,
+            cast_number=1,
             seconds=30,
             finalists=1,
             starts=1,

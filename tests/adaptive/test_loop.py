@@ -39,7 +39,7 @@ def explain(
     tolerance_m,
     *,
     seed,
-    manipulation,
+    cast_number,
     progress,
 ):
     EARLIER.append(previous)

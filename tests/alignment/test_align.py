@@ -388,7 +388,7 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
     observation = Observation("t02", points, READINGS.empty(), MASKS.empty(), arm=cast)
     how = {
         "seed": 0,
-        "manipulation": 1,
+        "cast_number": 1,
         "candidates": 33,
         "chi_0": 0.6,
         "beta": 0.95,

@@ -183,15 +183,15 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
     )
 
 
-def test_the_next_manipulation_begins_where_the_last_one_ended(arm, camera):
+def test_the_next_cast_begins_where_the_last_one_ended(arm, camera):
     model = Model(STRING, arm, camera)
     settings = {"candidates": 64, "matching": MATCHING}
     walk = {"chi_0": 0.5, "beta": 0.99, "batch": 16}
     first = random_search.estimate(
-        model, [observed(1)], None, seed=2, manipulation=1, **settings, **walk
+        model, [observed(1)], None, seed=2, cast_number=1, **settings, **walk
     )
     second = random_search.estimate(
-        model, [observed(2)], first, seed=3, manipulation=2, **settings, **walk
+        model, [observed(2)], first, seed=3, cast_number=2, **settings, **walk
     )
     begun = second.candidates.iloc[0]
     assert {name: begun[name] for name in STRING.names} == pytest.approx(
@@ -202,10 +202,10 @@ def test_the_next_manipulation_begins_where_the_last_one_ended(arm, camera):
     )
 
 
-def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
+def test_cma_es_looks_closer_with_every_cast(arm, camera):
     model = Model(STRING, arm, camera)
     widths = []
-    for manipulation in (1, 4):
+    for cast_number in (1, 4):
         settings = {
             "candidates": 33,
             "sigma": 0.1,
@@ -213,7 +213,7 @@ def test_cma_es_looks_closer_with_every_manipulation(arm, camera):
             "matching": MATCHING,
         }
         found = cma_es.estimate(
-            model, [observed(1)], None, seed=2, manipulation=manipulation, **settings
+            model, [observed(1)], None, seed=2, cast_number=cast_number, **settings
         )
         chi = np.stack(
             [p.chi(found.candidates[p.name].to_numpy()[1:]) for p in STRING.parameters],
@@ -240,7 +240,7 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
         [observed(1)],
         None,
         seed=2,
-        manipulation=2,
+        cast_number=2,
         **settings,
     )
     table = CANDIDATES.check(found.candidates)
@@ -276,7 +276,7 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
             [observed(1)],
             None,
             seed=5,
-            manipulation=1,
+            cast_number=1,
             **settings,
         )
 
@@ -299,7 +299,7 @@ def test_cma_es_brings_the_string_to_the_points(arm, camera):
         [observed(1)],
         None,
         seed=0,
-        manipulation=1,
+        cast_number=1,
         **settings,
     )
     before, after = found.fit["before"].iloc[0], found.fit["after"].iloc[0]
@@ -322,7 +322,7 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
             [observed(seed)],
             None,
             seed=seed,
-            manipulation=1,
+            cast_number=1,
             **settings,
         )
         table = PARAMETERS.check(found.parameters).set_index("name")
@@ -354,7 +354,7 @@ def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypa
     for previous in (None, SimpleNamespace(values=lambda: TRUTH)):
         with pytest.raises(SearchedError):
             least_squares.estimate(
-                model, [observed(0)], previous, seed=0, manipulation=1, **settings
+                model, [observed(0)], previous, seed=0, cast_number=1, **settings
             )
     assert starts[0] is None
     true = parameter_exponents(model.parameters, STRING.values(TRUTH))
@@ -390,7 +390,7 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     )
     settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
-        Model(STRING, arm, camera), [lazy], None, seed=0, manipulation=1, **settings
+        Model(STRING, arm, camera), [lazy], None, seed=0, cast_number=1, **settings
     )
     loose = set(found.parameters["symbol"][~found.parameters["determined"]])
     assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose

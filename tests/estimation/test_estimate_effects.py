@@ -82,7 +82,7 @@ def recovered(model, observation):
     """Return the estimate by name."""
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
-        model, [observation], None, seed=0, manipulation=1, **settings
+        model, [observation], None, seed=0, cast_number=1, **settings
     )
     return found.parameters.set_index("name"), found.fit.iloc[0]
 
@@ -146,7 +146,7 @@ def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, came
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
     seen = observed(heavy, {"tip_mass.ratio": 0.2})
     found = least_squares.estimate(
-        known, [seen], None, seed=0, manipulation=1, **settings
+        known, [seen], None, seed=0, cast_number=1, **settings
     )
     screened = found.candidates.iloc[: settings["screening"]]
     assert screened["tip_mass.ratio"].to_numpy() == pytest.approx(0.17)

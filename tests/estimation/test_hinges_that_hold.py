@@ -156,7 +156,7 @@ def test_a_law_with_memory_is_recovered_within_its_intervals(model):
         "matching": Matching(20, 2, 3.0, 0.25),
     }
     estimate = least_squares.estimate(
-        model, trials, None, seed=0, manipulation=1, **settings
+        model, trials, None, seed=0, cast_number=1, **settings
     )
     found = estimate.parameters.set_index("name")
     assert estimate.fit["rms_after"].iloc[0] < 1.05 * np.sqrt(2) * NOISE

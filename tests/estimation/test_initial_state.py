@@ -269,7 +269,7 @@ def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
         "matching": Matching(20, 2, 3.0, 0.25),
     }
     estimate = least_squares.estimate(
-        model, [trial], None, seed=0, manipulation=1, **settings
+        model, [trial], None, seed=0, cast_number=1, **settings
     )
     values = model.values(estimate.values())
     assert estimate.fit["rms_after"][0] < 1.2e-3

@@ -21,7 +21,7 @@ def test_the_estimator_of_the_page_finds_a_better_string(arm, camera):
         [observation],
         None,
         seed=1,
-        manipulation=1,
+        cast_number=1,
         progress=None,
         candidates=32,
         matching=MATCHING,

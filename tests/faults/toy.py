@@ -50,9 +50,8 @@ composed = cache(compose_experiment)
 def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
     """Return the settings of a toy experiment.
 
-    `casts` is the number of manipulations. `pause` is the duration of each stage [s].
-    `estimate_by` replaces the toy estimation, and `mode` the casting. `changed` holds
-    settings as whole blocks.
+    `pause` is the duration of each stage [s]. `estimate_by` replaces the toy
+    estimation, and `mode` the casting. `changed` holds settings as whole blocks.
     """
     whole = composed(*TINY, f"max_casts={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
@@ -132,12 +131,12 @@ def extract(footage, camera, *, progress):
     return Points(**tables)
 
 
-def estimate(model, observations, last, *, seed, manipulation, progress):
+def estimate(model, observations, last, *, seed, cast_number, progress):
     x = number(
         *(o.points for o in observations),
         None if last is None else last.values(),
         seed,
-        manipulation,
+        cast_number,
     )
     tables = {name: rows(table) for name, table in Estimate.TABLES.items()}
     names = ["bending_stiffness", "axial_stiffness"]

@@ -28,7 +28,7 @@ INF = np.inf
 def runs(**hits):
     """Return table RUNS.
 
-    For each experiment it holds the manipulations in which its runs hit, in the order
+    For each experiment it holds the casts in which its runs hit, in the order
     of their seeds.
     """
     rows = [
@@ -41,7 +41,7 @@ def runs(**hits):
             "budget": 5,
         }
         | {
-            "manipulations": min(hit_at, 5),
+            "casts": min(hit_at, 5),
             "seconds": 1.0,
             "folder": f"{condition}{seed}",
         }
@@ -215,9 +215,9 @@ def test_a_study_goes_on_and_scores_what_has_ended(study):
     ]
     ended = store.read_table(scores.RUNS, ledger.folder / "runs.parquet")
     assert ended["hit_at"].tolist() == [2, INF, INF]
-    assert ended["manipulations"].tolist() == [2, 5, 0]
+    assert ended["casts"].tolist() == [2, 5, 0]
     casts = store.read_table(scores.CASTS, ledger.folder / "casts.parquet")
-    assert casts[casts["hit"]][["seed", "manipulation"]].to_numpy().tolist() == [[0, 2]]
+    assert casts[casts["hit"]][["seed", "cast"]].to_numpy().tolist() == [[0, 2]]
     within = store.read_table(scores.RATES, ledger.folder / "rates.parquet").set_index(
         "within"
     )
@@ -247,17 +247,14 @@ def test_figures_show_what_the_runs_stored(study):
     assert set(drawn) == {"fig_13", "fig_14"}
     assert all((ledger.folder / f"{name}.png").stat().st_size > 5000 for name in drawn)
     first, last = drawn["fig_13"].figure.axes
-    assert "manipulation 1, missed by 50 mm" in first.get_title()
-    assert "manipulation 2, hit" in last.get_title()
+    assert "cast 1, missed by 50 mm" in first.get_title()
+    assert "cast 2, hit" in last.get_title()
     for axes in (first, last):
         assert len(axes.lines) == 3 * figure_data.MOMENTS
         assert len(axes.patches) == 2  # target and wall
     measured = first.lines[-1]
     assert measured.get_ydata() == pytest.approx((0.8 - S + 0.9 * 0.2) * 1e3)
-    assert (
-        "E is 0.400 in manipulation 1, 0.400 in manipulation 2: not higher"
-        in drawn["fig_14"].alt
-    )
+    assert "E is 0.400 in cast 1, 0.400 in cast 2: not higher" in drawn["fig_14"].alt
     curves = [
         line
         for line in drawn["fig_14"].figure.axes[0].lines

@@ -29,7 +29,7 @@ from stringcast.stages.report.pages.tables import tables_page
 from stringcast.stages.report.records import PaperRecord, StageRecord
 from tests.report.browser import browser, pages_are_skipped
 from tests.report.test_diagnosis_page import diagnosed, displaced
-from tests.report.test_report import manipulation, record_of
+from tests.report.test_report import record_of, simulated_cast
 from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
 
@@ -105,7 +105,7 @@ def texts(arm, camera):
             columns=["what", "of", "value", "unit", "place"],
         )
     }
-    casts = [manipulation(arm, camera, 1), manipulation(arm, camera, 2, hit=True)]
+    casts = [simulated_cast(arm, camera, 1), simulated_cast(arm, camera, 2, hit=True)]
     runs = pd.DataFrame(
         {
             "run": ["a/b", "a/c", "a/d"],

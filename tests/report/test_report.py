@@ -139,7 +139,7 @@ def estimated(rng, t, symbols=STRING.parameters):
     )
 
 
-def manipulation(arm, camera, number=1, hit=False, noise=6.0):
+def simulated_cast(arm, camera, number=1, hit=False, noise=6.0):
     """Return a cast whose simulation after estimation is exactly what was filmed."""
     rng = np.random.default_rng(number)
     t = np.arange(-0.1, DURATION + 0.1, 0.01)
@@ -218,7 +218,7 @@ def record_of(arm, camera, casts, **other):
     hit = bool(casts) and casts[-1].verdict.hit
     facts = {
         "name": "stringT",
-        "sentence": f"The tip {'reached' if hit else 'did not reach'} the target in {len(casts)} manipulations.",
+        "sentence": f"The tip {'reached' if hit else 'did not reach'} the target in {len(casts)} casts.",
         "hit": hit,
         "obstacles": (Box(0.9, 0.3, 0.05, 0.3),),
         "estimates": tuple(c.estimate for c in casts if c.estimate is not None),
@@ -240,7 +240,9 @@ def record_of(arm, camera, casts, **other):
 @pytest.fixture(scope="module")
 def record(arm, small):
     return record_of(
-        arm, small, [manipulation(arm, small, 1), manipulation(arm, small, 2, hit=True)]
+        arm,
+        small,
+        [simulated_cast(arm, small, 1), simulated_cast(arm, small, 2, hit=True)],
     )
 
 
@@ -352,7 +354,7 @@ def test_the_same_record_gives_the_same_page(record):
 
 def test_what_data_say_cannot_become_code(arm, small):
     evil = "</script><img src=x onerror=alert(1)>"
-    cast = manipulation(arm, small)
+    cast = simulated_cast(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
     text = cast_page(
         record_of(arm, small, [cast], name=evil, sentence=evil, settings={evil: evil})
@@ -583,7 +585,7 @@ def unreported(cast):
     ],
 )
 def test_what_is_missing_is_said(arm, small, spoil, words):
-    page = Page(cast_page(record_of(arm, small, [spoil(manipulation(arm, small))])))
+    page = Page(cast_page(record_of(arm, small, [spoil(simulated_cast(arm, small))])))
     for word in words:
         assert word in re.sub(r"\s+([.:,])", r"\1", page.text)
     assert not re.search(r"\b(nan|inf|None)\b", page.text.replace("null", ""))
@@ -592,7 +594,7 @@ def test_what_is_missing_is_said(arm, small, spoil, words):
 
 
 def test_estimation_alone_has_a_page(arm, small):
-    cast = manipulation(arm, small)
+    cast = simulated_cast(arm, small)
     page = Page(
         cast_page(
             record_of(
@@ -620,7 +622,7 @@ def test_estimation_alone_has_a_page(arm, small):
 
 def test_a_look_before_the_first_cast_has_its_own_section(arm, small, undrawn):
     """It shows what it taught and its film, and no distance from the target."""
-    cast = manipulation(arm, small)
+    cast = simulated_cast(arm, small)
     seen = replace(cast, verdict=HitResult.unknown())
     estimates = seen.estimate, cast.estimate
     with_look = record_of(arm, small, [cast], look=seen, estimates=estimates)
@@ -651,7 +653,9 @@ def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     """
     page = Page(
         cast_page(
-            record_of(arm, small, [manipulation(arm, small, i + 1) for i in range(10)])
+            record_of(
+                arm, small, [simulated_cast(arm, small, i + 1) for i in range(10)]
+            )
         )
     )
     films, _ = page.explored()
@@ -667,7 +671,7 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
     Scripts, words and drawings are up to 0.65 MB. The rest is what noise makes large,
     here at its worst.
     """
-    cast = manipulation(arm, camera, noise=25.0)
+    cast = simulated_cast(arm, camera, noise=25.0)
     record = record_of(arm, camera, [cast] * 5)
     film = json.dumps(cast_film_data(record, cast, region_of_run(record)))
     assert 5 * (len(film) + len(closest_approach_picture(record, cast).source)) < 0.85e6
@@ -675,7 +679,7 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
 
 @pytest.mark.long
 def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
-    text = cast_page(record_of(arm, camera, [manipulation(arm, camera)] * 10))
+    text = cast_page(record_of(arm, camera, [simulated_cast(arm, camera)] * 10))
     assert 0.8e6 < len(text.encode()) < 1.5e6  # the page holds all pictures
 
 

@@ -54,7 +54,7 @@ def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
                     "hit": float(target == "near"),
                 }
                 row |= {
-                    "manipulations": 1.0 + seed,
+                    "casts": 1.0 + seed,
                     "E_before": 0.5,
                     "E_after": 0.7 + 20 * (beta - 0.99),
                 }
@@ -127,7 +127,7 @@ def test_intervals_end_where_values_do():
     mean, low, high = by_name["miss_m"].mean_over_seeds(values)
     assert (mean, low) == (pytest.approx(40.0), 0.0)
     assert high == pytest.approx(40 + 2.776 * 40, rel=1e-3)
-    assert by_name["manipulations"].mean_over_seeds(np.array([1, 1, 1, 1, 2.0]))[1] == 1
+    assert by_name["casts"].mean_over_seeds(np.array([1, 1, 1, 1, 2.0]))[1] == 1
 
     rng = np.random.default_rng(0)
     expected = 54.17  # [mm], mean of a normal distribution without its negative part
@@ -163,7 +163,7 @@ def test_the_page_shows_each_factor():
         assert f"<h2>Response to {factor}</h2>" in page
     assert "Response to experiment" not in page
     assert "Response to seed" not in page
-    # pictures of hit, manipulations, E, miss and stiffness, and three maps
+    # pictures of hit, casts, E, miss and stiffness, and three maps
     assert page.count("<img alt=") == 2 * 5
     assert "20 of 20" in page
     assert re.search(
@@ -264,9 +264,7 @@ def reached():
         (0.7, 0, "failed", np.nan, np.nan),
         (0.7, 1, "failed", np.nan, np.nan),
     ]
-    named = pd.DataFrame(
-        rows, columns=["target.x", "seed", "state", "hit", "manipulations"]
-    )
+    named = pd.DataFrame(rows, columns=["target.x", "seed", "state", "hit", "casts"])
     return (
         swept(betas=(0.99,), targets=("near",), seeds=range(6))
         .drop(columns=["target", "seed"])

@@ -251,7 +251,7 @@ def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
     finish(tmp_path)
     table = pd.read_parquet(tmp_path / "sweep.parquet")
     assert list(table["max_casts"]) == [1, 2]
-    assert table["manipulations"].isna().all()  # no job has made a manipulation
+    assert table["casts"].isna().all()  # no job has made a cast
 
 
 def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):

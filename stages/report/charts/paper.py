@@ -41,7 +41,7 @@ LINE_LABELS = {
 def string_shapes_figure(
     record: PaperRecord, casts: Sequence[tuple[str, int]]
 ) -> PaperFigure | None:
-    """Draw arm and string over time for each cast (experiment, manipulation)."""
+    """Draw arm and string over time for each cast (experiment, number)."""
     if not casts:
         return None
     figure = Figure(figsize=(2.75 * max(len(casts), 2), 3.5))
@@ -81,7 +81,7 @@ def _draw_boxes(axes: Axes, record: PaperRecord, condition: str) -> None:
 def _cast_title(record: PaperRecord, condition: str, number: int) -> str:
     verdict = record.cast_verdict(condition, number)
     result = "hit" if verdict["hit"] else f"missed by {format_mm(verdict['miss_m'])}"
-    return f"{EXPERIMENT_LABELS[condition]}\nmanipulation {number}, {result}"
+    return f"{EXPERIMENT_LABELS[condition]}\ncast {number}, {result}"
 
 
 def hand_paths_figure(
@@ -132,7 +132,7 @@ def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
         t, rates = tables[number][["t", "before"]].to_numpy().T
         closest = record.cast_verdict(condition, number)["t_closest"]
         colour = "before" if number == first else "after"
-        name = f"manipulation {number}"
+        name = f"cast {number}"
         axes.plot(t * MS_PER_S, break_at_gaps(t, rates), color=colour, label=name)
         axes.axvline(closest * MS_PER_S, color=colour, lw=1, ls="--")
         is_near = np.abs(t - closest) <= HIT_HALF_WINDOW_S

@@ -93,11 +93,11 @@ def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
     ----------
     jobs : DataFrame
         Jobs that finished or failed, with columns target.x and target.y [m], state, hit
-        and manipulations.
+        and casts.
     max_casts : int
         Casts of the job with the most.
     """
-    needed = jobs["manipulations"].where(jobs["hit"] == 1, np.inf)
+    needed = jobs["casts"].where(jobs["hit"] == 1, np.inf)
     needed = needed.where(jobs["state"] == "done", np.nan)
     median = needed.groupby([jobs[name] for name in TARGET_COLUMNS]).agg(_lower_median)
     figure, axes = new_axes(4.4, 4.2)

@@ -52,17 +52,17 @@ FIGURE_TEXTS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_07": (
         "Fig. 7: string A to (500, 900)",
         ("A_500_900",),
-        "The first manipulation hits, with another shape.",
+        "The first cast hits, with another shape.",
     ),
     "fig_08": (
         "Fig. 8: string C to (300, 900)",
         ("C_300_900",),
-        "The first manipulation hits, with another shape.",
+        "The first cast hits, with another shape.",
     ),
     "fig_09": (
         "Fig. 9: string B to (400, 700)",
         ("B_400_700",),
-        "The first manipulation misses, the second hits.",
+        "The first cast misses, the second hits.",
     ),
     "fig_10": (
         "Fig. 10: hand path",
@@ -82,20 +82,17 @@ FIGURE_TEXTS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_12": (
         "Fig. 12: string D, n = 25",
         ("D_500_500",),
-        "It hits; in which manipulation is not stated.",
+        "It hits; in which cast is not stated.",
     ),
     "fig_13": (
         "Fig. 13: around a wall",
         ("wall",),
-        "It hits in the fifth manipulation.",
+        "It hits in the fifth cast.",
     ),
     "fig_14": (
         "Fig. 14: E over time, around the wall",
         (),
-        (
-            "Around the hit, E of the fourth manipulation is higher than that of the "
-            "first."
-        ),
+        ("Around the hit, E of the fourth cast is higher than that of the first."),
     ),
 }
 # What the paper leaves open, and our choice.
@@ -131,17 +128,14 @@ OPEN_CHOICES = (
         "does not state what happens if no slight change of the last motion hits",
         "after 100,000 of them, any motion is tried",
     ),
-    ('"several" manipulations before it is a failure', "five"),
+    ('"several" casts before it is a failure', "five"),
     (
         "Euler's method",
         "semi-implicit Euler; the explicit one is unstable in most of Table 3's ranges",
     ),
     (
-        "continues after a hit, to show the shape of the second manipulation",
-        (
-            "a run ends with its first hit; a figure of two manipulations then has one "
-            "panel"
-        ),
+        "continues after a hit, to show the shape of the second cast",
+        ("a run ends with its first hit; a figure of two casts then has one panel"),
     ),
     ("Fig. 7 has string A at (500, 900), the text on Fig. 10 has (900, 500)", "both"),
     (
@@ -239,13 +233,13 @@ def _describe_runs(record: PaperRecord, seeds: int) -> Markup:
 
 
 def _hit_rate_section(record: PaperRecord) -> Section | Text:
-    """Tabulate the share of runs that hit within some manipulations."""
+    """Tabulate the share of runs that hit within some casts."""
     if not record.finished_experiments:
         return Text("No run has ended yet.", "missing")
     lead = (
         "Share of the runs in which the tip reached the target within one to five "
-        "manipulations, with 95 % intervals (Clopper and Pearson). Median: "
-        "manipulations that half of the runs needed at most."
+        "casts, with 95 % intervals (Clopper and Pearson). Median: casts that half "
+        "of the runs needed at most."
     )
     rows, within = [], []
     for condition in record.finished_experiments:
@@ -285,7 +279,7 @@ def _figures_section(
         return None
     lead = (
         "Drawn is the run with the lowest seed that needed the median number of "
-        "manipulations. Earlier strings and arms are fainter; the last are at the "
+        "casts. Earlier strings and arms are fainter; the last are at the "
         "tip's closest approach to the target."
     )
     return Section("Figures and tables", [Text(lead), Container("grid", shown)])

@@ -45,7 +45,7 @@ from stringcast.stages.report.page import (
 from stringcast.stages.report.records import SweepRecord
 from stringcast.stages.report.theme import STYLE_SHEET
 
-MAIN_OUTCOMES = ("hit", "manipulations", "E_after")
+MAIN_OUTCOMES = ("hit", "casts", "E_after")
 
 
 def sweep_page(record: SweepRecord) -> str:
@@ -172,7 +172,7 @@ def _targets_section(record: SweepRecord) -> Section | None:
     ended = record.jobs[record.jobs["state"].isin(["done", "failed"])]
     if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished_jobs.empty:
         return None
-    max_casts = int(record.finished_jobs["manipulations"].max())
+    max_casts = int(record.finished_jobs["casts"].max())
     others = [name for name in record.factors if name not in TARGET_COLUMNS]
     maps = []
     for level, jobs in ended.groupby(others) if others else [((), ended)]:
