@@ -10,11 +10,6 @@ from stringcast.stages.model.effect import (
     Values,
 )
 
-COMPASS_DIRECTIONS = (
-    *("to the right", "up to the right", "up", "up to the left"),
-    *("to the left", "down to the left", "down", "down to the right"),
-)
-
 
 class Wind(StringEffect):
     """A steady flow of the air.
@@ -32,13 +27,13 @@ class Wind(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        speed = np.hypot(values["along_x"], values["along_y"])
-        eighth = (
-            round(np.arctan2(values["along_y"], values["along_x"]) / (np.pi / 4)) % 8
-        )
+        # each component has an interval, a compass direction has none
+        along_x, along_y = values["along_x"], values["along_y"]
+        side = "right" if along_x > 0 else "left"
+        vertical = "upwards" if along_y > 0 else "downwards"
         return (
-            f"air flows through the workspace at {speed:.2f} m/s, "
-            f"{COMPASS_DIRECTIONS[eighth]}"
+            f"air flows through the workspace at {abs(along_x):.2f} m/s to the {side} "
+            f"and {abs(along_y):.2f} m/s {vertical}"
         )
 
     @classmethod
