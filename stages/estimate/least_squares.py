@@ -119,7 +119,8 @@ def _parameter_intervals(
     parameters = likelihood.parameters
     low = np.clip(best - covariance.half_width_95, 0, 1)
     high = np.clip(best + covariance.half_width_95, 0, 1)
-    is_narrow, is_inside = high - low < UNDETERMINED_WIDTH, within_range(best)
+    is_narrow = high - low < UNDETERMINED_WIDTH
+    is_inside = within_range(best, low, high)
     determined = is_narrow & is_inside
     sentence = describe_undetermined(
         parameters, is_narrow, is_inside, "This data determines every parameter."

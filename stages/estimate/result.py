@@ -255,20 +255,26 @@ def insensitive_parameters(
     rate = np.concatenate([search.matching_rate, matching_rate(targets, scan)])
     good = rate >= np.nanmax(search.matching_rate) - EQUAL_RATE_TOLERANCE
     width = np.ptp(chi[good], axis=0)
+    unknown = np.full(count, np.nan)
     sentence = describe_undetermined(
         parameters,
         width < UNDETERMINED_SPREAD,
-        within_range(best),
+        within_range(best, unknown, unknown),
         "Near the best string found, E depends on every parameter.",
     )
     sentence += " A search on E cannot say how sure the others are; least squares can."
-    unknown = np.full(count, np.nan)
     return Interval(unknown, unknown, np.zeros(count, dtype=bool), sentence)
 
 
-def within_range(chi: np.ndarray) -> np.ndarray:
-    """Find which exponents (P,) are not at an end of the range."""
-    return (chi > BOUND_TOLERANCE) & (chi < 1 - BOUND_TOLERANCE)
+def within_range(chi: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Find which exponents (P,) are not at an end of the range.
+
+    One near an end is not at it if its interval, from low to high, ends before. Where
+    no interval is known, the ends are NaN.
+    """
+    is_far = (chi > BOUND_TOLERANCE) & (chi < 1 - BOUND_TOLERANCE)
+    ends_before = (low > 0) & (high < 1)
+    return is_far | ends_before
 
 
 def describe_undetermined(
@@ -347,7 +353,7 @@ def _parameter_table(
         low=low,
         high=high,
         chi=chi,
-        at_bound=~within_range(chi),
+        at_bound=~within_range(chi, interval.low, interval.high),
         determined=interval.determined,
     )
 

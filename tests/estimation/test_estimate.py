@@ -32,6 +32,7 @@ from stringcast.stages.estimate.result import (
     build_estimate,
     describe_undetermined,
     tabulate_misfit,
+    within_range,
 )
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
@@ -410,6 +411,13 @@ def test_a_parameter_at_the_end_of_its_range_is_told_from_one_that_is_loose():
     assert names[0] not in sentence
     every = np.ones(3, bool)
     assert describe_undetermined(parameters, every, every, "All known.") == "All known."
+
+
+def test_a_parameter_near_an_end_of_its_range_is_not_at_it_if_its_interval_ends_before():
+    chi = np.array([0.995, 0.995, 0.995, 0.5])
+    half_width = np.array([0.002, 0.02, np.nan, np.nan])
+    low, high = np.clip([chi - half_width, chi + half_width], 0, 1)
+    assert within_range(chi, low, high).tolist() == [True, False, False, True]
 
 
 def test_points_between_mass_points_are_interpolated(arm, camera):
