@@ -254,6 +254,12 @@ class DiagnosisRecord:
         extended = table[["extended_x", "extended_y"]]
         return not np.array_equal(base, extended)
 
+    @property
+    def added_effects(self) -> list[str]:
+        """Names of the effects that the configured model lacks."""
+        configured = {effect.name for effect in self.model.effects}
+        return [name for name in self.extension["effects"] if name not in configured]
+
     @cached_property
     def models(self) -> tuple[str, ...]:
         """Names of the models to compare: base, and extended if it differs."""

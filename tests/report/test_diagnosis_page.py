@@ -18,6 +18,7 @@ from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
 from stringcast.data.artifacts import Diagnosis
+from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.charts.axes import draw_map, new_axes
@@ -301,12 +302,15 @@ def write(model):
     }
 
     def written(diagnosis, **other):
-        facts = {"name": "bench-7", "settings": {"diagnose": {"starts": 4}}} | other
+        facts = {
+            "name": "bench-7",
+            "settings": {"diagnose": {"starts": 4}},
+            "model": model,
+        } | other
         return diagnosis_page(
             StageRecord(
                 sentence=diagnosis.sentence,
                 artifact=diagnosis,
-                model=model,
                 provenance=origin,
                 **facts,
             )
@@ -406,6 +410,13 @@ def test_each_verdict_is_said_with_its_numbers(pages, verdict):
     for words in SAID[verdict]:
         assert re.sub(r"\s+", " ", words) in page.text
     assert not re.search(r"\b(nan|inf|None|Undefined)\b", page.text)
+
+
+def test_effects_of_the_configured_model_are_not_called_added(page_of, model):
+    pair = VERDICTS["pair"]()
+    assert "adds tip mass and arm lag" in page_of(pair).text
+    with_lag = model.with_effects(*find_effects(["arm_lag"]))
+    assert "adds tip mass and is" in page_of(pair, model=with_lag).text
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

@@ -98,8 +98,8 @@ def _describe_models(record: DiagnosisRecord) -> list[str]:
         "The base model is the configured one with its parameters fitted to these "
         "trials, so no choice of parameters removes its misfit."
     )
-    if record.is_extended:
-        added = join_effects(record.extension["effects"])
+    if record.is_extended and record.added_effects:
+        added = join_effects(record.added_effects)
         lead += f" The extended model adds {added} and is fitted to the same trials."
     drawn, used = len(record.drawn_trials), len(record.document["trials"]["used"])
     if drawn < used:
