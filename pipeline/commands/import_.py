@@ -45,7 +45,6 @@ from stringcast.pipeline.commands.import_options import (
     read_column_hints,
 )
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.stages.check.finding import Severity, full_stop
 from stringcast.stages.check.measured import CheckedDataset
 
 # units of points, of the hand and of angles, direction, clock and rows of zeros
@@ -65,12 +64,10 @@ class NotUsableError(DataError):
     """Data in which an error was found, with their overview."""
 
     def __init__(self, folder: Path, overview: dict[str, Any]) -> None:
-        message = f"{folder}: it was not written, because its data are not usable."
-        for finding in overview["findings"]:
-            if finding["severity"] == Severity.ERROR:
-                message += f" {finding['remedy']}{full_stop(finding['remedy'])}"
-                break
-        super().__init__(message)
+        super().__init__(
+            f"{folder}: it was not written, because its data are not usable. The "
+            "findings above say what to do."
+        )
         self.overview = overview
 
 

@@ -230,7 +230,7 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert done.returncode == 2
     assert "was not written" in done.stderr
-    assert "one frame of reference" in done.stderr
+    assert (done.stdout + done.stderr).count("one frame of reference") == 1
     assert not (tmp_path / "mine").exists()
     # the drawing shows the fault
     assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
