@@ -123,19 +123,16 @@ def _draw_speeds(
 ) -> None:
     """Draw each speed as a share of its maximum: on one clock, both rise together."""
     hand = seen.pose[:, :2]
-    _draw_speed(axes, seen.hand_t, hand, seen.hand_onset, "hand, arm's clock", "axis")
-    _draw_speed(axes, t, tip, seen.string_onset, "tip, camera's clock", "measured")
+    _draw_speed(axes, seen.hand_t, hand, "hand, arm's clock", "axis")
+    _draw_onset(axes, seen.hand_onset, "hand begins to move", "axis")
+    _draw_speed(axes, t, tip, "tip, camera's clock", "measured")
+    _draw_onset(axes, seen.string_onset, "string begins to move", "measured")
     axes.set(xlabel="time [s]", ylabel="speed [of fastest]")
     _add_legend(axes, 2)
 
 
 def _draw_speed(
-    axes: Axes,
-    times: np.ndarray,
-    positions: np.ndarray,
-    onset: float | None,
-    label: str,
-    colour: str,
+    axes: Axes, times: np.ndarray, positions: np.ndarray, label: str, colour: str
 ) -> None:
     """Draw the speed between positions (K, 2) [m] as a share of its maximum."""
     speed = step_lengths(positions) / np.maximum(np.diff(times), 1e-9)
@@ -145,8 +142,12 @@ def _draw_speed(
         share = np.minimum(speed / fastest, 1.2)
         words = f"{label}: {fastest:.1f} m/s"
         axes.plot(middle, share, color=colour, lw=1, label=words)
+
+
+def _draw_onset(axes: Axes, onset: float | None, label: str, colour: str) -> None:
+    """Draw when a motion begins, if it does."""
     if onset is not None:
-        axes.axvline(onset, color=colour, ls=":", lw=1)
+        axes.axvline(onset, color=colour, ls=":", lw=1, label=label)
 
 
 def _add_legend(axes: Axes, columns: int) -> None:
