@@ -3,6 +3,7 @@
 // to in one is shown in all; so is the stretch of time that one of the charts is zoomed to.
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
+const LEGEND_PX = 32; // below a chart
 const STEPS = [1, 2, 5]; // of a length that is drawn beside a film, times a power of ten
 
 // A name of the theme, as it is now, or a colour.
@@ -203,7 +204,7 @@ class Chart {
     dark.addEventListener("change", () => this.again());
   }
   size() {
-    return { width: Math.max(this.box.clientWidth, 120), height: 210 };
+    return { width: Math.max(this.box.clientWidth, 120), height: Math.max(this.box.clientHeight - LEGEND_PX, 210) };
   }
   again() {
     if (this.plot && this.drawn === dark.matches) return;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -82,6 +82,18 @@ def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
     return ImageRegion(*low.tolist(), *high.tolist())
 
 
+def widen_to_square(region: ImageRegion, camera: Camera) -> ImageRegion:
+    """Widen a region to its height, about its middle, as far as the image goes."""
+    width, height = region.size_px
+    if width >= height:
+        return region
+    left = np.clip(
+        region.left - (height - width) // 2, 0, max(camera.width - height, 0)
+    )
+    right = min(left + height, camera.width)
+    return replace(region, left=int(left), right=int(right))
+
+
 def region_of_run(record: RunRecord) -> ImageRegion:
     """Return the part of the image that shows every cast of a run."""
     points = [np.array([record.model.arm.base]), box_corners(record.target)]
@@ -151,6 +163,7 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
     shown = [cast.before[frame], cast.after[frame], box_corners(record.target)]
     centre_line = cast.centre_line(frame)
     region = region_around(record, np.concatenate([*shown, centre_line]))
+    region = widen_to_square(region, record.model.camera)
     figure, axes = blank_frame(region, 5.4)
     draw_frame(axes, record, cast, frame, region)
     measured = {"color": FRAME_COLOURS["measured"]}

@@ -259,8 +259,8 @@ def _parameters_section(record: RunRecord) -> Section:
     if not record.casts:
         charts = []
         for number, estimate in enumerate(record.estimates, start=1):
-            chart = f"Matching rate over time, estimation {number}"
-            charts.append(_matching_part(estimate, chart))
+            chart_title = f"Matching rate over time, estimation {number}"
+            charts.append(_matching_part(estimate, title=chart_title))
         parts.append(Explore([Container("grid", charts)]))
     return Section(title, parts)
 
@@ -307,16 +307,16 @@ def _look_section(record: RunRecord, look: CastRecord, region: ImageRegion) -> S
         parts.append(Text(sentence_markup(look.estimate.fit["sentence"].iloc[0])))
         model = extend_model(record.model, look.estimate.values())
         parts.append(Card("", [_parameter_table(model, look.estimate)]))
+    beside: list[Part] = []
     if look.explanation is not None:
         causes = _cause_table(look.explanation)
         words = Text(look.explanation.sentence)
-        parts.append(Card("Cause", [part for part in (words, causes) if part]))
-    over_time = distance_chart(record, look)
-    shown = [
-        Card("Animation", [_animation(record, look, region)]),
-        over_time or _reason("Distance over time", NOTHING_READ),
-    ]
-    parts.append(Explore([Container("grid", shown)], FILM_LAYERS))
+        beside.append(Card("Cause", [part for part in (words, causes) if part]))
+    beside.append(_matching_part(look.estimate, look))
+    beside.append(_distance_part(record, look))
+    animation = Card("Animation", [_animation(record, look, region)])
+    columns = [animation, Container("column", beside)]
+    parts.append(Explore([Container("grid", columns)], FILM_LAYERS))
     return Section("Look at the string", parts, LOOK_ANCHOR)
 
 
@@ -415,9 +415,8 @@ def _comparison(
             "The camera frame nearest in time. Dashed: the path of the tip 30 ms "
             "before and after. Ring: its closest approach."
         )
-        key = Key(
-            [(words, FRAME_COLOURS[name]) for name, words in OVERLAY_LABELS.items()]
-        )
+        colours = [(words, FRAME_COLOURS[k]) for k, words in OVERLAY_LABELS.items()]
+        key = Key(colours)
         near = Figure("Closest approach", picture, caption, beside=key)
     distance = Figure(
         "Distance of simulated and measured string",
@@ -427,9 +426,11 @@ def _comparison(
         NOTHING_READ,
     )
 
-    over_time = [
-        _matching_part(cast.estimate, "Matching rate over time", cast),
-        distance_chart(record, cast) or _reason("Distance over time", NOTHING_READ),
+    # charts grow, so that both columns have one height
+    animation = Card("Animation", [_animation(record, cast, region)])
+    columns = [
+        Container("column", [near, distance, _matching_part(cast.estimate, cast)]),
+        Container("column", [animation, _distance_part(record, cast)]),
     ]
 
     # the joints together are as high as the hand's path beside them
@@ -442,13 +443,7 @@ def _comparison(
     joints: Part = _reason("Joint angles", NO_JOINT_ANGLES)
     if len(cast.trial.arm):
         joints = Container("column", joint_charts(cast))
-    left = Container("column", [near, distance])
-    animation = Card("Animation", [_animation(record, cast, region)])
-    return [
-        Container("grid", [left, animation]),
-        Container("grid", over_time),
-        Container("grid", [paths, joints]),
-    ]
+    return [Container("grid", columns), Container("grid", [paths, joints])]
 
 
 def _animation(record: RunRecord, cast: CastRecord, region: ImageRegion) -> Part:
@@ -461,8 +456,16 @@ def _animation(record: RunRecord, cast: CastRecord, region: ImageRegion) -> Part
     return FilmPlayer(film, words)
 
 
+def _distance_part(record: RunRecord, cast: CastRecord) -> Part:
+    """Chart the distance of the strings over time, or state that none was read."""
+    chart = distance_chart(record, cast)
+    return chart or _reason("Distance over time", NOTHING_READ)
+
+
 def _matching_part(
-    estimate: Estimate | None, title: str, cast: CastRecord | None = None
+    estimate: Estimate | None,
+    cast: CastRecord | None = None,
+    title: str = "Matching rate over time",
 ) -> Part:
     """Chart E over time, with the movement of a cast, or state why there is no E."""
     if chart := matching_chart(estimate, title):
