@@ -24,8 +24,8 @@ from stringcast.pipeline.settings.composition import Settings
 from stringcast.stages.hit_test import HitResult
 from stringcast.stages.model.model import Model
 from stringcast.stages.plugins import load_object
-from stringcast.stages.report.page import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.pages.cast import cast_page
+from stringcast.stages.report.parts import FOLDER_PLACEHOLDER as HERE
 from stringcast.stages.report.records import (
     CastRecord,
     RunRecord,

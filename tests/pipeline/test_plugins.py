@@ -79,7 +79,8 @@ window: 1  # number of frames
 PAGE = '''
 """The page of the stage sway."""
 
-from stringcast.stages.report.page import Section, Text, stage_page
+from stringcast.stages.report.page import stage_page
+from stringcast.stages.report.parts import Section, Text
 
 from .helpers import LAB
 

@@ -24,18 +24,10 @@ from stringcast.stages.report.charts.axes import (
     label_decades,
     new_axes,
 )
-from stringcast.stages.report.formatting import (
-    format_count,
-    format_mm,
-    format_value,
-)
-from stringcast.stages.report.page import Chart, Line
+from stringcast.stages.report.formatting import format_count, format_mm, format_value
+from stringcast.stages.report.parts import Chart, Line
 from stringcast.stages.report.records import CastRecord, RunRecord
-from stringcast.stages.report.theme import (
-    MS_PER_S,
-    Picture,
-    svg_picture,
-)
+from stringcast.stages.report.theme import MS_PER_S, Picture, svg_picture
 
 STATES = ("before", "after")  # estimation
 

@@ -11,19 +11,12 @@ from matplotlib.colors import AsinhNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from stringcast.stages.common import MM_PER_M
-from stringcast.stages.report.charts.axes import (
-    add_legend_above,
-    draw_map,
-    new_axes,
-)
+from stringcast.stages.report.charts.axes import add_legend_above, draw_map, new_axes
 from stringcast.stages.report.charts.string_film import tip_points
 from stringcast.stages.report.formatting import format_count, format_mm, join_names
-from stringcast.stages.report.page import Chart, Line
+from stringcast.stages.report.parts import Chart, Line
 from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
-from stringcast.stages.report.theme import (
-    Picture,
-    svg_picture,
-)
+from stringcast.stages.report.theme import Picture, svg_picture
 
 MODEL_COLOURS = {"base": "before", "extended": "after"}
 # Zero is the page itself, light or dark; both ends stand out on either.

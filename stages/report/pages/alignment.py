@@ -14,7 +14,8 @@ from stringcast.data.alignment import Alignment
 from stringcast.stages.common import MM_PER_M
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import format_mm
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import stage_page
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Figure,
@@ -23,15 +24,9 @@ from stringcast.stages.report.page import (
     Text,
     Tiles,
     number_cells,
-    stage_page,
 )
 from stringcast.stages.report.records import StageRecord
-from stringcast.stages.report.theme import (
-    MS_PER_S,
-    STYLE_SHEET,
-    Picture,
-    svg_picture,
-)
+from stringcast.stages.report.theme import MS_PER_S, STYLE_SHEET, Picture, svg_picture
 
 MAX_DRAWN_DEVIANCE = 25.0
 DEVIANCE_95 = 3.84  # at the ends of a 95 % interval

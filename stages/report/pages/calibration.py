@@ -16,7 +16,8 @@ from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import rms
 from stringcast.stages.report.charts.axes import new_axes
 from stringcast.stages.report.formatting import unit_markup
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import stage_page
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Figure,
@@ -27,7 +28,6 @@ from stringcast.stages.report.page import (
     bold_text,
     join_sentences,
     number_cell,
-    stage_page,
     table_card,
 )
 from stringcast.stages.report.records import StageRecord

@@ -9,12 +9,12 @@ from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
 from stringcast.stages.report.charts.trial import describe_trial, trial_figure
 from stringcast.stages.report.formatting import format_count, format_mm
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import Page
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Container,
     Figure,
-    Page,
     Part,
     Section,
     Text,

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 
 from stringcast.stages.report.formatting import format_count, format_rate
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import Page
+from stringcast.stages.report.parts import (
     Cell,
     Details,
-    Page,
     Part,
     RunsView,
     Section,

@@ -21,11 +21,11 @@ from stringcast.stages.report.formatting import (
     symbol_markup,
     unit_markup,
 )
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import Page
+from stringcast.stages.report.parts import (
     Container,
     Details,
     Figure,
-    Page,
     Section,
     TableView,
     Text,

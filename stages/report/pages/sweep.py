@@ -22,13 +22,13 @@ from stringcast.stages.report.formatting import (
     unit_markup,
 )
 from stringcast.stages.report.outcomes import MIN_SEEDS, Outcome, mean_response
-from stringcast.stages.report.page import (
+from stringcast.stages.report.page import Page
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Container,
     Details,
     Figure,
-    Page,
     Part,
     Section,
     Small,

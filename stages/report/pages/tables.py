@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from stringcast.stages.report.page import Section, Text, stage_page, table_card
+from stringcast.stages.report.page import stage_page
+from stringcast.stages.report.parts import Section, Text, table_card
 from stringcast.stages.report.records import StageRecord
 
 MAX_ROWS = 50

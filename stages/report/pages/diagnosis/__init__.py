@@ -7,7 +7,7 @@ from collections.abc import Callable
 from matplotlib import style
 
 from stringcast.stages.report.formatting import verdict_headline
-from stringcast.stages.report.page import Part, stage_page
+from stringcast.stages.report.page import stage_page
 from stringcast.stages.report.pages.diagnosis.held_out import held_out_section
 from stringcast.stages.report.pages.diagnosis.residuals import (
     misfit_section,
@@ -24,6 +24,7 @@ from stringcast.stages.report.pages.diagnosis.verdict import (
     causes_section,
     rejected_card,
 )
+from stringcast.stages.report.parts import Part
 from stringcast.stages.report.records import DiagnosisRecord, StageRecord
 from stringcast.stages.report.theme import STYLE_SHEET
 from stringcast.stages.workers import map_in_workers

@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from stringcast.stages.report.formatting import format_gain, format_mm, format_rate
-from stringcast.stages.report.page import (
+from stringcast.stages.report.parts import (
     Card,
     Section,
     TableView,

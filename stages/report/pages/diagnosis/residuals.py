@@ -10,12 +10,10 @@ from stringcast.stages.report.charts.residual import (
     residual_maps,
     trial_rms_picture,
 )
-from stringcast.stages.report.charts.string_film import (
-    string_film_data,
-    worst_frame,
-)
+from stringcast.stages.report.charts.string_film import string_film_data, worst_frame
 from stringcast.stages.report.formatting import format_mm, format_ms, join_effects
-from stringcast.stages.report.page import (
+from stringcast.stages.report.pages.diagnosis.verdict import verdict_tiles
+from stringcast.stages.report.parts import (
     Card,
     Container,
     Explore,
@@ -27,7 +25,6 @@ from stringcast.stages.report.page import (
     Section,
     Text,
 )
-from stringcast.stages.report.pages.diagnosis.verdict import verdict_tiles
 from stringcast.stages.report.records import DiagnosisRecord, model_distances
 from stringcast.stages.report.theme import MS_PER_S
 

@@ -15,7 +15,7 @@ from stringcast.stages.report.formatting import (
     format_mm,
     format_percent,
 )
-from stringcast.stages.report.page import (
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Container,

@@ -24,7 +24,7 @@ from stringcast.stages.report.formatting import (
     symbol_markup,
     unit_markup,
 )
-from stringcast.stages.report.page import (
+from stringcast.stages.report.parts import (
     Card,
     Cell,
     Details,

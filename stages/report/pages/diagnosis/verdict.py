@@ -21,7 +21,8 @@ from stringcast.stages.report.formatting import (
     join_effects,
     join_names,
 )
-from stringcast.stages.report.page import (
+from stringcast.stages.report.pages.diagnosis.held_out import worse_predictions
+from stringcast.stages.report.parts import (
     Card,
     Container,
     Figure,
@@ -37,7 +38,6 @@ from stringcast.stages.report.page import (
     number_cells,
     table_card,
 )
-from stringcast.stages.report.pages.diagnosis.held_out import worse_predictions
 from stringcast.stages.report.records import DiagnosisRecord
 
 MIN_ALTERNATIVE_PROBABILITY = 0.01
