@@ -33,6 +33,7 @@ MIN_RETURN_FRACTION = 0.25
 MIN_ROWS_PER_TIME = 2.0
 MIN_TIMED_ROWS = 5
 TURN_JUMP_RAD = 1.5 * np.pi  # so large a step between two samples is a wrapped angle
+MAX_WRAPPED_RANGE_RAD = 2 * np.pi + 0.01  # a turn, and rounding
 
 
 @dataclass(frozen=True)
@@ -263,7 +264,7 @@ def unwrap_angles(
             angles = trial[joint].to_numpy()
             is_jump = np.abs(np.diff(angles)) > TURN_JUMP_RAD
             # angles in degrees jump, too, and range farther
-            if is_jump.any() and np.ptp(angles) < 2 * np.pi + 0.01:
+            if is_jump.any() and np.ptp(angles) < MAX_WRAPPED_RANGE_RAD:
                 frame.loc[trial.index, joint] = np.unwrap(angles, discont=TURN_JUMP_RAD)
                 unwrapped[joint] = (*unwrapped.get(joint, ()), str(name))
     return frame, unwrapped

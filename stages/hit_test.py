@@ -20,6 +20,7 @@ from stringcast.stages.model.target import Target
 
 TIME_STEP_S = 0.0005  # of the tip's path
 MAX_GAP_S = 0.02  # between readings across which the tip's path is interpolated
+MAX_ROUNDED_INTERVAL = 1.01  # of frames, whose times are rounded, over the median
 
 
 @dataclass(frozen=True)
@@ -139,9 +140,9 @@ def tip_path(readings: pd.DataFrame, t: np.ndarray) -> np.ndarray:
         return np.full((len(t), 2), np.nan)
     interval = np.searchsorted(read_at, t, side="right") - 1
     gap = np.diff(read_at)[np.clip(interval, 0, len(read_at) - 2)]
-    # between neighbouring frames the path is always known; their times are rounded
+    # between neighbouring frames the path is always known
     frame_interval = float(np.median(np.diff(np.sort(readings["t"].to_numpy()))))
-    longest = max(MAX_GAP_S, 1.01 * frame_interval)
+    longest = max(MAX_GAP_S, MAX_ROUNDED_INTERVAL * frame_interval)
     path = CubicSpline(read_at, valid[["tip_x", "tip_y"]])(t)
     return np.where((gap <= longest)[:, None], path, np.nan)
 

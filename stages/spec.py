@@ -164,7 +164,7 @@ class StageSpec:
     summary : function from the artifact to its summary in the terminal
     files : function from the artifact and the folder of the next iteration to texts
         that a run leaves in its folder, by name
-    page : function that makes report.html from `report.records.Facts`
+    page : function that makes report.html from `report.records.StageRecord`
     is_end : its artifact is a result, even where no stage uses it
     moves_arm : it performs a motion, real or virtual
     """

@@ -21,6 +21,7 @@ from stringcast.data.schema import DataError
 
 MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are degrees
 COUNTS_PER_TURN = 4096  # of the encoders of most servos
+MAX_LISTED_COLUMNS = 12  # in a message
 # of a position: they have other units than lengths, or none
 NO_LENGTH_AXES = {"angle", "likelihood", "valid", *QUATERNION_AXES}
 
@@ -118,9 +119,10 @@ def trial_name(key: str) -> str:
 def list_columns(recording: SourceRecording) -> str:
     """List the first columns of a recording for messages."""
     names = [str(name) for name in recording.table]
-    words = ", ".join(names[:12]) or "none"
-    if len(names) > 12:
-        words += f" and {len(names) - 12} more"
+    words = ", ".join(names[:MAX_LISTED_COLUMNS]) or "none"
+    more = len(names) - MAX_LISTED_COLUMNS
+    if more > 0:
+        words += f" and {more} more"
     return words
 
 

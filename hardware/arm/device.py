@@ -23,6 +23,8 @@ from stringcast.stages.model.arm import Arm
 
 LINK_TEST_TRIPS = 50  # round trips of the link test
 START_TOLERANCE_RAD = 0.02  # [rad] between reported and commanded start
+MAX_APPROACHES = 3  # movements to the start, each nearer than the last
+MIN_APPROACH_TICKS = 20  # of the arm, for the shortest of them
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,7 @@ class VelocityArm:
             If a limit would be left or the arm does not follow.
         """
         # a velocity-driven joint ends a little off: go again from where it is
-        for _ in range(3):
+        for _ in range(MAX_APPROACHES):
             start = self.angles()
             distance = np.asarray(angles) - start
             farthest = np.abs(distance).max()
@@ -175,7 +177,7 @@ class VelocityArm:
                 break
             # half a cosine is pi / 2 times as fast in its middle as on average
             duration = farthest * np.pi / 2 / self.driving.approach
-            duration = max(duration, 20 * self.arm.tick)
+            duration = max(duration, MIN_APPROACH_TICKS * self.arm.tick)
             ticks = int(np.ceil(duration / self.arm.tick))
             share = (1 - np.cos(np.pi * np.arange(ticks + 1) / ticks)) / 2
             self._check_and_play(start + share[:, None] * distance)

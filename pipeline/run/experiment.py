@@ -100,7 +100,7 @@ class Mode(ABC):
 
 @dataclass(frozen=True)
 class Experiment:
-    """The objects that a run works with; implements `stages.spec.Setup`.
+    """The objects that a run works with; implements `stages.spec.StageSetup`.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ class Step:
     stage : StageSpec
         The stage.
     number : int
-        Number of the iteration, from 1.
+        Number of the iteration.
     inputs : mapping
         Artifacts by name.
     input_folders : tuple of Path

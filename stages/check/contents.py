@@ -41,6 +41,7 @@ MAX_NOISE = 0.1  # relative to the string's length: no point is measured so badl
 MAX_LENGTH_RATIO = 1.1  # so many times as long is another string
 MAX_FRAME_RATE = 1e7  # [1/s]: no camera films faster
 MIN_SEEN_LENGTH = 0.5  # share of the string: if less is seen, the tip is not
+MIN_METRIC_LENGTH = 0.01  # share of the string: if less is seen, the unit is another
 GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
 BLOCKS: Mapping[str, type[Block]] = {
     "string": StringBlock,
@@ -137,7 +138,7 @@ def check_string_length(dataset: CheckedDataset) -> Iterator[Finding]:
         )
         remedy = "A folder is one string: make a folder of each, or correct s"
         yield warning(dataset.points_file, "s", statement, remedy)
-    elif MIN_SEEN_LENGTH * length > longest > 0.01 * length:
+    elif MIN_SEEN_LENGTH * length > longest > MIN_METRIC_LENGTH * length:
         statement = (
             f"points go to {longest:.3g} m of a string of {length:.3g} m: its tip was "
             "not seen"

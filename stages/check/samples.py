@@ -19,6 +19,7 @@ GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the le
 MIN_OUTLIERS = 3
 COARSE_STEP = 0.005  # of a grid of positions, relative to the length
 MIN_GRID_VALUES = 5
+GRID_TOLERANCE = 0.01  # of a step: values so near to a grid lie on it
 MAX_LISTED_TRIALS = 4  # trials whose counts are listed
 
 
@@ -135,7 +136,7 @@ def grid_step(values: np.ndarray) -> float:
     steps = np.diff(distinct)
     step = float(steps.min())
     multiples = steps / step
-    is_whole = np.abs(multiples - np.rint(multiples)) < 0.01
+    is_whole = np.abs(multiples - np.rint(multiples)) < GRID_TOLERANCE
     # of few values each, every step is a multiple by chance
     is_grid = is_whole.all() and len(distinct) < len(values) / 2
     return step if is_grid else 0.0

@@ -13,10 +13,11 @@ class Sensor:
 
     `lost` holds numbers that are never delivered, `again` numbers replaced by the frame
     before, and `held` the delay of a number [s]. `dies` is the first number that does
-    not come. `stamps` says whether times of exposure are reported. `obeys` says what a
-    property becomes when it is set. `size` is (width, height), whatever is requested.
-    `quiet` leaves out the noise. `decoding` gives the time to decode a frame of a
-    number [s]. `damaged` holds numbers that cannot be decoded.
+    not come. `stamps` says whether times of exposure are reported. `ignored` holds
+    properties that stay as they are when set, `dumb` those that refuse it. `size` is
+    (width, height), whatever is requested. `quiet` leaves out the noise. `decoding`
+    gives the time to decode a frame of a number [s]. `damaged` holds numbers that
+    cannot be decoded.
     """
 
     def __init__(

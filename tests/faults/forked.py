@@ -120,7 +120,7 @@ def toy_experiment(*given):
 
 
 def process(attempt, entry, log, threads):
-    """Make a job's process, for `Attempt._process`."""
+    """Make a job's process, for `Attempt._run_process`."""
     place = f"hydra.run.dir={attempt.folder / attempt.key}"
     return ended(start([*entry.overrides, "hydra.mode=RUN", place], log.fileno()))
 

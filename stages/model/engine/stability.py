@@ -22,6 +22,7 @@ MAX_STIFFENING_STRETCH = 0.2  # whose tension stiffens the string sideways
 STEP_SIZE_RATIO = 1.2  # of one size of step to the next
 INSTANT_S = 1e-9  # in which nothing relaxes
 MAX_STEPS_PER_TICK = 5000  # more is impractical, and the candidate is rejected
+DIFFERENCE_FRACTION = 1e-4  # of sampled arguments' range, over which slopes are taken
 SPEED_DIFFERENCE = 1e-3  # of the speed, over which the slope of drag is taken
 
 DEFAULT_ARGUMENTS = dict.fromkeys(
@@ -226,8 +227,8 @@ def _difference_arguments(slot: str) -> tuple[dict[str, np.ndarray], float, floa
     (first, values), (second, rates) = SAMPLED_ARGUMENTS[slot]
     grids = np.meshgrid(values, rates, indexing="ij")
     value, rate = np.reshape(grids, (2, 1, -1))
-    step = 1e-4 * float(np.ptp(values))
-    rate_step = 1e-4 * float(np.ptp(rates))
+    step = DIFFERENCE_FRACTION * float(np.ptp(values))
+    rate_step = DIFFERENCE_FRACTION * float(np.ptp(rates))
     arguments = {
         first: np.hstack([value + step, value - step, value, value]),
         second: np.hstack([rate, rate, rate + rate_step, rate - rate_step]),
