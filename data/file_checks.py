@@ -110,13 +110,13 @@ def require_inside(folder: Path, path: Path) -> Path:
 
 
 def is_file_inside(folder: Path, file: str) -> bool:
-    """Tell whether a path that a file names is a plain file in this folder."""
+    """Return whether a path that a file names is a plain file in this folder."""
     path = folder / file
     return os.path.isfile(path) and path.resolve().is_relative_to(folder.resolve())
 
 
 def is_outside(folder: Path, file: str) -> bool:
-    """Tell whether a path that a file names leaves this folder, links followed."""
+    """Return whether a path that a file names leaves this folder, links followed."""
     if "\0" in file:
         return False
     path = Path(os.path.realpath(folder / file))
@@ -274,7 +274,7 @@ def check_csv(path: Path) -> Path:
 
 
 def begins_with(path: Path, text: str, encoding: str) -> bool:
-    """Tell whether a path is a file whose content begins with a text."""
+    """Return whether a path is a file whose content begins with a text."""
     if not path.is_file():
         return False
     with path.open(encoding=encoding, errors="replace") as file:

@@ -240,7 +240,7 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 
 def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
-    """Tell whether the parts of an origin that are there have the right types."""
+    """Return whether the parts of an origin that are there have the right types."""
     for name, kind in ORIGIN_TYPES.items():
         if not isinstance(origin.get(name, kind()), kind):
             return False

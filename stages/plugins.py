@@ -111,7 +111,7 @@ def plugin_sources() -> dict[str, Path]:
 
 
 def is_inside_itself(folder: Path) -> bool:
-    """Tell whether a folder is a link to one that contains it."""
+    """Return whether a folder is a link to one that contains it."""
     return folder.is_symlink() and folder.absolute().is_relative_to(folder.resolve())
 
 

@@ -16,7 +16,7 @@ HEADINGS = ("scorer", "individuals", "bodyparts", "coords")
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file begins as DeepLabCut's CSV does."""
+    """Return whether a file begins as DeepLabCut's CSV does."""
     return path.suffix.lower() == ".csv" and begins_with(path, "scorer,", "utf-8")
 
 

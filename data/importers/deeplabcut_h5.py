@@ -35,7 +35,7 @@ class _TextUnpickler(pickle.Unpickler):
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file's name ends as HDF5's do."""
+    """Return whether a file's name ends as HDF5's do."""
     return path.suffix.lower() in (".h5", ".hdf5")
 
 

@@ -83,7 +83,7 @@ def _read_poses(reader: RecordingReader) -> pd.DataFrame | None:
 
 
 def _has_direction(axes: set[str]) -> bool:
-    """Tell whether columns of these axes give a direction of the hand."""
+    """Return whether columns of these axes give a direction of the hand."""
     return "angle" in axes or axes >= {*QUATERNION_AXES}
 
 

@@ -32,7 +32,7 @@ NUMBER_TYPES = ("float32", "float64", "int64", "int32")
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a folder is such a dataset."""
+    """Return whether a folder is such a dataset."""
     return (path / INFO_FILE).is_file()
 
 
@@ -84,7 +84,7 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _is_numeric(feature: Any) -> bool:
-    """Tell whether a feature is a number or a short vector, and not a picture."""
+    """Return whether a feature is a number or a short vector, and not a picture."""
     if not isinstance(feature, dict) or feature.get("dtype") not in NUMBER_TYPES:
         return False
     shape = feature.get("shape")

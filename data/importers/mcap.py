@@ -37,7 +37,7 @@ TRANSPARENT = ("pose", "position", "point", "transform", "translation")
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file's name ends as MCAP's do."""
+    """Return whether a file's name ends as MCAP's do."""
     return path.suffix.lower() == ".mcap"
 
 

@@ -35,7 +35,7 @@ MAX_RETURN_RATIO = 4.0
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file begins as Motive's CSV does."""
+    """Return whether a file begins as Motive's CSV does."""
     return path.suffix.lower() == ".csv" and begins_with(path, FIRST_CELL, ENCODING)
 
 

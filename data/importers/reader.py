@@ -212,7 +212,7 @@ class RecordingReader:
         return column.meaning.unit or of_file or stated.get("") or "m"
 
     def names_state_unit(self, *kinds: str) -> bool:
-        """Whether all names of columns of these kinds state a unit."""
+        """Return whether all names of columns of these kinds state a unit."""
         columns = [c for kind in kinds for c in self.columns_of(kind)]
         columns = [c for c in columns if c.meaning.axis not in NO_LENGTH_AXES]
         return all(column.meaning.unit for column in columns)

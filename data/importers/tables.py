@@ -24,7 +24,7 @@ SEPARATORS = ",;\t|"
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether a file's name ends as a table's."""
+    """Return whether a file's name ends as a table's."""
     return path.suffix.lower() in TABLE_SUFFIXES
 
 

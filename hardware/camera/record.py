@@ -169,7 +169,7 @@ def exposure_times(
 
 
 def _are_clock_times(stamps: np.ndarray, arrivals: np.ndarray, period: float) -> bool:
-    """Tell whether a source's stamps (F,) are those of a clock, as arrivals are [s].
+    """Return whether a source's stamps (F,) are those of a clock, as arrivals are [s].
 
     Others are the number of the frame times a nominal period, or nothing.
     """

@@ -170,7 +170,7 @@ def decode_answer(frame: bytes) -> DeviceAnswer:
 
 
 def is_newer(sequence: int, last: int) -> bool:
-    """Tell whether a sequence number comes after another, with a wrap at 16 bits."""
+    """Return whether a sequence number comes after another, with a wrap at 16 bits."""
     return 0 < (sequence - last) % 2**16 < 2**15
 
 

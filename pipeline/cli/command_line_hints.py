@@ -152,7 +152,7 @@ def answer_words(words: Sequence[str]) -> Iterator[Answer]:
 
 
 def is_second_part(word: Word) -> bool:
-    """Tell whether a word is the value of the one before it.
+    """Return whether a word is the value of the one before it.
 
     Such as in `--experiment stringB`, `seed = 3` or `seed: 3`.
     """
@@ -324,7 +324,7 @@ def to_metres(number: float, unit: str = "") -> float:
 
 
 def is_setting(name: str) -> bool:
-    """Tell whether a setting or a group has this first name."""
+    """Return whether a setting or a group has this first name."""
     first_name = re.split(r"[./@]", name)[0]
     return first_name in {*top_level_settings(), *group_names(), "hydra"}
 

@@ -88,7 +88,7 @@ def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
 
 
 def is_module_name(name: str) -> bool:
-    """Tell whether a module can have this name."""
+    """Return whether a module can have this name."""
     return bool(NAME_PATTERN.fullmatch(name)) and not keyword.iskeyword(name)
 
 

@@ -81,7 +81,7 @@ class Batch(Stepwise):
             require_trials(experiment)
 
     def moves_arm(self, config: Settings) -> bool:
-        """Tell whether a trial is performed first."""
+        """Return whether a trial is performed first."""
         return config["trials"] is None and "execute" in self.first
 
     def run_steps(

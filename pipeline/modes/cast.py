@@ -94,7 +94,7 @@ class Cast(Stepwise):
         check_reach(experiment.target, experiment.arm, experiment.string.length)
 
     def moves_arm(self, config: Settings) -> bool:
-        """Tell whether casts are performed."""
+        """Return whether casts are performed."""
         return config["trials"] is None and "execute" in self.stages
 
     def run_steps(
@@ -118,7 +118,7 @@ class Cast(Stepwise):
         while history.next_number <= max_casts and not has_hit:
             iteration = history.begin_iteration()
             self.perform_stages(self.stages, experiment, history)
-            log_fit(iteration)
+            log_estimation(iteration)
             verdict = measure_hit(experiment, iteration, graph)
             iteration = replace(iteration, verdict=verdict)
             log_verdict(iteration)
@@ -142,7 +142,7 @@ class Cast(Stepwise):
         history.first_number = LOOK_NUMBER
         look = history.begin_iteration(trial=LOOK_TRIAL)
         self.perform_stages(names, experiment, history)
-        log_fit(look)
+        log_estimation(look)
         log_reading(look)
         history.executor.publish(history.iterations)
         history.graph = graph_of_casts
@@ -223,19 +223,19 @@ def trials_for_estimation(
     )
 
 
-def log_fit(iteration: Iteration) -> None:
-    """Log the result of an estimation, if there was one."""
+def log_estimation(iteration: Iteration) -> None:
+    """Log what an estimation found, if any, and whether its trial surprised."""
     estimate = iteration.find(Estimate)
     if estimate is None:
         return
-    fit = estimate.fit.iloc[0]
-    rates, rms_mm = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
     surprise = iteration.find(Surprise)
     if surprise is not None:
         log.info("surprise %d: %s", iteration.number, surprise.sentence)
     if isinstance(estimate, Explanation):
         words = "explanation %d (%s): %s"
         log.info(words, iteration.number, estimate.verdict, estimate.sentence)
+    fit = estimate.fit.iloc[0]
+    rates, rms_mm = fit[["before", "after"]], 1e3 * fit[["rms_before", "rms_after"]]
     message = "estimate %d: E %.3f to %.3f, rms %.1f to %.1f mm. %s"
     log.info(message, iteration.number, *rates, *rms_mm, fit["sentence"])
 
@@ -245,17 +245,17 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     last = iterations[-1]
     explanation = last.find(Explanation)
     causes = explanation.named_causes if explanation is not None else ()
-    found = f"The model lacked {describe_causes(causes)}." if causes else ""
+    lacked = f"The model lacked {describe_causes(causes)}." if causes else ""
     if last.has_hit:
         sentence = f"The tip reached the target in cast {last.number}."
-        return f"{sentence} {found}".strip()
+        return f"{sentence} {lacked}".strip()
     tries = f"{last.number} cast{'s' if last.number > 1 else ''}"
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
     points = last.find(Points)
     assert points is not None
     readings = points.readings
     reasons = [describe_arm_misfit(readings), describe_poor_reading(readings)]
-    return " ".join([sentence, *filter(None, [found, *reasons])])
+    return " ".join([sentence, *filter(None, [lacked, *reasons])])
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

@@ -41,7 +41,7 @@ class Diagnose(Batch):
         return build_graph(names, config, STORED_ARTIFACTS)
 
     def moves_arm(self, config: Settings) -> bool:
-        """Tell whether motions may be performed."""
+        """Return whether motions may be performed."""
         return self.motions > 0
 
     def run_steps(

@@ -9,7 +9,7 @@ from pathlib import Path
 from stringcast.data import dataset
 from stringcast.data.artifacts import Estimate, Prediction, TrialSet
 from stringcast.data.schema import DataError
-from stringcast.pipeline.modes.cast import log_fit
+from stringcast.pipeline.modes.cast import log_estimation
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
@@ -84,7 +84,7 @@ class EstimateTrials(Stepwise):
             numbers = tuple(range(first + 1, number + 1))
             trials = TrialSet(tuple(observations[first:]), iteration_numbers=numbers)
             history.make_artifact(ESTIMATION, trials=trials)
-            log_fit(history.iterations[-1])
+            log_estimation(history.iterations[-1])
 
         for name in sorted(data.trials.keys() - set(fitted)):
             observation = read_trial(

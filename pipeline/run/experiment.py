@@ -89,7 +89,7 @@ class Mode(ABC):
         return StageGraph()
 
     def moves_arm(self, config: Settings) -> bool:
-        """Tell whether an arm is moved, real or virtual."""
+        """Return whether an arm is moved, real or virtual."""
         return False
 
     def picture_sources(self, config: Settings) -> tuple[str, ...]:
@@ -161,13 +161,14 @@ class Experiment:
         bound_function = self.stages.get(step.stage.name)
         seed = step.derive_seed(self.seed)
         call = StageCall(bound_function, self, seed, step.number, progress)
-        made = load_object(step.stage.run)(call, **step.inputs)
-        if not isinstance(made, step.stage.makes):
+        artifact = load_object(step.stage.run)(call, **step.inputs)
+        if not isinstance(artifact, step.stage.makes):
+            kind, wanted = type(artifact).__name__, step.stage.makes.__name__
             raise UserError(
-                f"stage {step.stage.name}: {step.stage.run} returned "
-                f"{type(made).__name__}, not {step.stage.makes.__name__}. Correct it."
+                f"stage {step.stage.name}: {step.stage.run} returned {kind}, not "
+                f"{wanted}. Correct it."
             )
-        return made
+        return artifact
 
 
 def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
@@ -215,7 +216,7 @@ def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
 
 
 def holds_only_inputs(block: Any) -> bool:
-    """Tell whether a stage's block names sources of its inputs and no function."""
+    """Return whether a stage's block names sources of its inputs and no function."""
     return isinstance(block, Mapping) and set(block) == {"inputs"}
 
 
@@ -268,5 +269,5 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
 
 
 def is_whole_number(value: Any, minimum: int) -> bool:
-    """Tell whether a value is an integer, and no truth value, of at least this size."""
+    """Return whether a value is an integer, not a bool, of at least this size."""
     return type(value) is int and value >= minimum

@@ -273,8 +273,8 @@ class History:
 
     def folders_of(self, number: int, names: Sequence[str]) -> list[Path]:
         """Return the folders of those artifacts that this run made in an iteration."""
-        made = self.iterations[number - self.first_number].artifacts
-        return [artifact_folder(number, name) for name in names if name in made]
+        artifacts = self.iterations[number - self.first_number].artifacts
+        return [artifact_folder(number, name) for name in names if name in artifacts]
 
     def lacking_input(self, name: str) -> str:
         """Return an input of a stage that the last iteration lacks, or nothing."""

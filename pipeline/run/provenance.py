@@ -255,7 +255,7 @@ def input_hashes(
 
 
 def holds_frames_of(folder: Path, trials: str | None) -> bool:
-    """Tell whether a folder of a dataset may hold frames: it has no folders itself.
+    """Return whether a folder of a dataset may hold frames: it has no folders itself.
 
     Of another folder, which somebody else's settings may name, nothing is read.
     """
@@ -315,14 +315,14 @@ def differing_values(
 
 
 def arm_is_virtual(config: Mapping[str, Any]) -> bool:
-    """Tell whether trials can be made again, unlike those of a real arm."""
+    """Return whether trials can be made again, unlike those of a real arm."""
     return str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
 
 
 def arm_has_executed(
     config: Mapping[str, Any], folder: Path, number: int, stage: str, graph: StageGraph
 ) -> bool:
-    """Tell whether a real arm has moved by an artifact of an iteration.
+    """Return whether a real arm has moved by an artifact of an iteration.
 
     Such an artifact is kept, for measurements depend on it: that of a stage before the
     movement of its iteration, and all of earlier iterations.

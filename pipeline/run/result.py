@@ -143,7 +143,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def has_types(values: Any, types: Mapping[str, Any]) -> bool:
-    """Tell whether values by name have these types, and their numbers are finite."""
+    """Return whether values by name have these types, and their numbers are finite."""
     if not isinstance(values, Mapping):
         return False
     for name, kind in types.items():

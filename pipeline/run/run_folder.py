@@ -133,8 +133,8 @@ class RunFolder:
             started_at, start = datetime.now(UTC), time.monotonic()
             kept = KeptFiles(kept_folder(folder), software_versions())
             with use_store(kept), stop_stage_on_interrupt():
-                made = self.experiment.run_step(step, progress)
-            self.interrupted = getattr(made, "was_interrupted", False)
+                artifact = self.experiment.run_step(step, progress)
+            self.interrupted = getattr(artifact, "was_interrupted", False)
             seconds = time.monotonic() - start
             config = self.experiment.config
             origin = current_origin(config, self.folder, step, self.content_hash)
@@ -143,13 +143,14 @@ class RunFolder:
                 "seconds": seconds,
             }
             self.hashes.pop(folder, None)
-            store.save(made, folder, origin)
+            store.save(artifact, folder, origin)
             if not self.interrupted:
                 kept.remove()
             log.info("%s made in %.1f s", step.folder, seconds)
         stored: Any = store.load(step.stage.makes, folder)
-        if isinstance(made, Trial):  # its images are still in memory
-            return replace(stored, images=RecentImages(stored.images, made.images))
+        if isinstance(artifact, Trial):  # its images are still in memory
+            recent = RecentImages(stored.images, artifact.images)
+            return replace(stored, images=recent)
         return stored
 
     def publish(self, iterations: list[Iteration]) -> None:
@@ -158,7 +159,7 @@ class RunFolder:
         A dataset that holds these trials already stays: no reader of a finished run is
         to see fewer of them.
         """
-        iterations = [each for each in iterations if each.measurement_names]
+        iterations = [it for it in iterations if it.measurement_names]
         if not iterations:
             return
         hashes = trial_hashes(self.folder, iterations, self.content_hash)
@@ -272,7 +273,7 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
 
 
 def lacks_frames(result: RunResult) -> bool:
-    """Tell whether frames of a run were not kept."""
+    """Return whether frames of a run were not kept."""
     for iteration in result.iterations:
         for name in iteration.artifacts:
             folder = result.folder / artifact_folder(iteration.number, name)

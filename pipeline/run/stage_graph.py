@@ -91,7 +91,7 @@ class StageGraph:
         }
 
     def precedes_movement(self, stage: str) -> bool:
-        """Tell whether the arm of an iteration moves by or after this stage."""
+        """Return whether the arm of an iteration moves by or after this stage."""
         if stage not in self.stages:
             return False
         following = self.stages[self.stages.index(stage) :]

@@ -142,7 +142,7 @@ def flatten_parameters(block: Settings, where: str) -> dict[str, Any]:
 
 
 def is_finite_number(value: Any) -> bool:
-    """Tell whether a value is a finite number that a float can hold."""
+    """Return whether a value is a finite number that a float can hold."""
     return isinstance(value, float | int) and abs(value) <= sys.float_info.max
 
 

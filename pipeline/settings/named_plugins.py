@@ -110,7 +110,7 @@ def require_named_plugins(settings: Settings, where: str) -> list[str]:
 
 
 def is_path(value: Any) -> bool:
-    """Tell whether a value may be a path."""
+    """Return whether a value may be a path."""
     return isinstance(value, str) and "\0" not in value
 
 

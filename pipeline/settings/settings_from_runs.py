@@ -159,7 +159,7 @@ def add_measured_parameter(merged: Any, name: str, measured: dict[str, float]) -
 
 
 def is_run_folder(folder: Path) -> bool:
-    """Tell whether stored trials are those of a run, with its settings."""
+    """Return whether stored trials are those of a run, with its settings."""
     return (folder / "config.json").exists()
 
 
@@ -206,7 +206,7 @@ def refuse_inherited_limits(
 
 
 def run_moves_arm(settings: Any) -> bool:
-    """Tell whether a run with these settings moves an arm, real or virtual."""
+    """Return whether a run with these settings moves an arm, real or virtual."""
     return bool(build_chosen(settings["mode"], "mode", "conf/mode").moves_arm(settings))
 
 

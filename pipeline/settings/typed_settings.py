@@ -135,7 +135,7 @@ def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def is_settings_group(hint: Any) -> bool:
-    """Tell whether a type is a dataclass whose fields are settings of their own."""
+    """Return whether a type is a dataclass whose fields are settings of their own."""
     return isinstance(hint, type) and issubclass(hint, SettingsGroup)
 
 

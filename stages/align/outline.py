@@ -354,7 +354,7 @@ def _assign_to_pieces(
 def _is_clear_of_others(
     edge: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float
 ) -> np.ndarray:
-    """Tell at which edges (n, 2) [m] of pieces no other link is near, (n,).
+    """Return at which edges (n, 2) [m] of pieces no other link is near, (n,).
 
     One would cut the piece, or add to it. link: of each piece, from 0 (n,).
     """

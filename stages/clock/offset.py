@@ -122,7 +122,7 @@ class FittedOffset:
     windows: Sequence[Window]
 
     def is_certainly_wrong(self) -> bool:
-        """Whether an offset beyond what a diagnosis searches explains the motion.
+        """Return whether an offset beyond those of a diagnosis explains the motion.
 
         It does where geometry leaves no other, or if it removes enough of the mean
         square misfit at the tip. The fit that compares them takes seconds.
@@ -297,7 +297,7 @@ def find_wrong_clock(
 
 
 def _is_harmful(interval: Interval) -> bool:
-    """Whether all of an interval lies beyond what a diagnosis searches."""
+    """Return whether all of an interval lies beyond what a diagnosis searches."""
     return max(interval.low, -interval.high) > HARMLESS_OFFSET_S
 
 

@@ -104,7 +104,7 @@ def compare_candidates(
 def _explains_enough(
     data: TrialData, decided: SelectionStep, criteria: Criteria
 ) -> bool:
-    """Whether no other candidates need to be fitted than those compared in a step.
+    """Return whether no candidates need to be fitted beside those of a step.
 
     A stand-in explains little of what is left, and the cause may have promised less. In
     the place of a cause that was accepted, others were fitted before.

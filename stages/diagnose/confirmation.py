@@ -191,7 +191,7 @@ def _predicts_trials(
     cause: type[Effect],
     criteria: Criteria,
 ) -> bool:
-    """Whether a cause helps to predict trials left out. Parameters as before."""
+    """Return whether a cause helps to predict trials left out. Parameters as before."""
     data = state.prepared.data
     gains = log_likelihood_gains(without.predictions, state.predictions)
     log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))

@@ -76,7 +76,7 @@ class ContactCandidates:
         return self._most_plausible(self._range_samples)
 
     def act_everywhere(self) -> bool:
-        """Tell whether the effect acts wherever its place is.
+        """Return whether the effect acts wherever its place is.
 
         Then it is no contact but a field, such as a spring to a fixed point.
         """

@@ -242,7 +242,7 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
 
 
 def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
-    """Whether the configured mesh fits worse and displaces the tip noticeably."""
+    """Return whether the configured mesh fits worse and moves the tip noticeably."""
     base = prepared.base_fit
     configured = prepared.configured_mesh_fit
     if configured is None or not has_evidence(configured, base, criteria):

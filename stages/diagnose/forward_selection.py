@@ -96,7 +96,7 @@ def _add_step(
 
 
 def _hides_others(state: SelectionState, criteria: Criteria) -> bool:
-    """Whether the best cause of the last step is evident, small, and not alone.
+    """Return whether the best cause of the last step is evident, small, and not alone.
 
     What moves the tip less than counts may be more evident than what moves it more,
     such as a small offset of the clocks in fast motions.

@@ -33,7 +33,7 @@ def held_out_trials_misfit(
     held_out: Sequence[Observation],
     criteria: Criteria,
 ) -> bool:
-    """Whether held-out trials misfit by more than the tolerance.
+    """Return whether held-out trials misfit by more than the tolerance.
 
     The model is fitted to them as well: what the searched trials leave open of its
     parameters is no cause.

@@ -274,7 +274,7 @@ class _SensitivityAnalysis:
         others: Sequence[_EffectResponse],
         criteria: Criteria,
     ) -> bool:
-        """Whether another effect explains a response about as well.
+        """Return whether another effect explains a response about as well.
 
         Its amplitudes take the best sizes. Outside a credible set it has no more
         probability than the set leaves.

@@ -138,7 +138,7 @@ def improves_predictions(
     base: Sequence[TrialPrediction],
     extended: Sequence[TrialPrediction],
 ) -> bool:
-    """Whether the extended model is closer to the median trial, and makes it likelier.
+    """Return whether the extended model predicts the median trial better.
 
     Sums over trials would follow one that is predicted badly.
     """

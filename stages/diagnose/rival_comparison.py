@@ -242,7 +242,7 @@ def _is_overtaken(
     others: Sequence[Fit],
     criteria: Criteria,
 ) -> bool:
-    """Whether the first of the other fits clearly leads those on common data."""
+    """Return whether the first of the other fits clearly leads those on common data."""
     if not others:
         return False
     other = others[0]

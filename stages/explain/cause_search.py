@@ -56,7 +56,7 @@ class Budget:
         self.began = time.process_time()
 
     def is_used_up(self, fits: float = 1.0) -> bool:
-        """Tell whether too little is left for so many fits; show how much is used."""
+        """Return whether too little is left for so many fits; show how much is used."""
         used = time.process_time() - self.began
         self.progress(min(used / max(self.seconds, 1e-9), 1.0))
         return used + fits * self.longest_fit > self.seconds
@@ -222,7 +222,7 @@ class CauseSearch:
         self.postponed.clear()
 
     def is_near(self, comparison: Comparison, tolerance_m: float) -> bool:
-        """Tell whether causes that were fitted leave little, or only the mesh's error.
+        """Return whether fitted causes leave little, or only the mesh's error.
 
         tolerance_m: tip misfit that matters little [m].
         """

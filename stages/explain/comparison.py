@@ -131,10 +131,10 @@ class Comparer:
     ) -> np.ndarray:
         """Choose exponents (C, P) at which an effect acts, near the estimate."""
         rng = np.random.default_rng([self.seed, PROBES])
-        own = hypothesis.parameter_indices(effect, effect.parameters)
+        indices = hypothesis.parameter_indices(effect, effect.parameters)
         amplitudes = hypothesis.amplitude_indices(effect)
         probes = np.tile(start, (PROBES, 1))
-        probes[:, own] = rng.uniform(0, 1, (PROBES, len(own)))
+        probes[:, indices] = rng.uniform(0, 1, (PROBES, len(indices)))
         # half of them to either end of the range of the first amplitude
         probes[::2, amplitudes[0]] = 0.0
         probes[1::2, amplitudes[0]] = 1.0
@@ -150,8 +150,9 @@ class Comparer:
         base = self.base.estimate
         assert base is not None
         extended = self.model.with_effects(*effects)
-        made = self.fit_model(extended, self.observations, start)
-        return self.comparison(effects, (rms_m(made) / rms_m(base)) ** 2, made)
+        fitted = self.fit_model(extended, self.observations, start)
+        square_ratio = (rms_m(fitted) / rms_m(base)) ** 2
+        return self.comparison(effects, square_ratio, fitted)
 
 
 def rms_m(estimate: Estimate) -> float:
@@ -177,7 +178,7 @@ def noise_m(observations: Sequence[Observation]) -> float:
 
 
 def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> bool:
-    """Tell whether causes that were fitted explain half of the mean square misfit.
+    """Return whether causes that were fitted explain half of the mean square misfit.
 
     noise_m: residual that no cause explains, root mean square [m].
     """

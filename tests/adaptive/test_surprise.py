@@ -77,7 +77,7 @@ def circular_paths(rng, count, length_m=0.3):
 
 
 def is_surprising(predicted, path, rng):
-    """Tell whether a measured path is a surprise."""
+    """Return whether a measured path is a surprise."""
     measured = path + rng.normal(0, NOISE_M, path.shape)
     return measure_surprise(predicted, measured, SIGMA_M, rng).is_surprising
 

@@ -58,7 +58,7 @@ def lines():
 
 
 def is_running(process):
-    """Whether a process that is no child of this one has not ended."""
+    """Return whether a process that is no child of this one has not ended."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

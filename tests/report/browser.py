@@ -24,7 +24,7 @@ def find_chromium():
 
 
 def pages_are_skipped():
-    """Tell whether there is no Chromium; where PAGES_MUST_OPEN is set, tests fail."""
+    """Return whether there is no Chromium; where PAGES_MUST_OPEN is set, tests fail."""
     return find_chromium() is None and not os.environ.get("PAGES_MUST_OPEN")
 
 

@@ -171,7 +171,7 @@ class MotionSpan(NamedTuple):
     path: float
 
     def contains(self, t: np.ndarray) -> np.ndarray:
-        """Tell which times (N,) [s] are in the span."""
+        """Return which times (N,) [s] are in the span."""
         return (t >= self.begin) & (t <= self.until)
 
 
