@@ -1,4 +1,4 @@
-"""Helpers of stages: progress, imports, scatter, and tracks of places on a string."""
+"""Helpers of stages: progress, imports, names, scatter and interpolation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,6 @@ GRAVITY_M_S2 = 9.81
 NORMAL_95 = 1.96  # half of a 95 % interval in standard deviations
 # standard deviation over median magnitude, of a normal distribution
 MAD_TO_SIGMA = 1.4826
-# points of two frames that lie so close along the string belong to one place
-PLACE_WIDTH_M = 1e-3
-FULL_FRAME_QUANTILE = 0.9  # of the frames' numbers of points
-# share of a place's steps that span as many frames as the step before, from which
-# places are taken to be fixed
-REPEATED_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -116,95 +110,3 @@ def step_lengths(points: np.ndarray) -> np.ndarray:
 def turn_left(vectors: np.ndarray) -> np.ndarray:
     """Turn vectors (..., 2) by a right angle, counter-clockwise where y points up."""
     return np.stack([-vectors[..., 1], vectors[..., 0]], axis=-1)
-
-
-def track_places(frame: np.ndarray, s: np.ndarray) -> list[np.ndarray]:
-    """Track places on the string through the frames.
-
-    Where points were measured at other places in every frame, there are as many places
-    as a full frame has points.
-
-    Parameters
-    ----------
-    frame : (N,) array of int
-        Number of each point's frame, in order.
-    s : (N,) array
-        Arc length of each point [m], in order within a frame.
-
-    Returns
-    -------
-    list of arrays of int
-        Numbers of the points of each place in the order of time, at most one a frame.
-    """
-    spacing = np.diff(s)[np.diff(frame) == 0]
-    spacing = spacing[spacing > 0]
-    width = PLACE_WIDTH_M
-    if spacing.size:
-        width = min(width, float(np.median(spacing)) / 2)
-    fixed = _binned_tracks(frame, s, width)
-
-    # fixed places recur at regular intervals
-    regular: list[bool] = []
-    for track in fixed:
-        interval = np.diff(frame[track])
-        regular.extend(interval[1:] == interval[:-1])
-    if regular and np.mean(regular) > REPEATED_SHARE:
-        return fixed
-    point_counts = np.unique(frame, return_counts=True)[1]
-    if not len(point_counts) or np.ptp(s) <= PLACE_WIDTH_M:
-        return fixed
-    full_count = int(np.quantile(point_counts, FULL_FRAME_QUANTILE))
-    if full_count < 2:
-        return fixed
-    return _binned_tracks(frame, s, float(np.ptp(s)) / (full_count - 1))
-
-
-def places_wander(s: np.ndarray, tracks: Sequence[np.ndarray]) -> bool:
-    """Decide whether points were measured at other places in every frame.
-
-    s: (N,) arc lengths [m]. tracks: from `track_places`.
-    """
-    return any(np.ptp(s[track]) > PLACE_WIDTH_M for track in tracks)
-
-
-def points_at_arc_lengths(
-    frame: np.ndarray, s: np.ndarray, points: np.ndarray, places: np.ndarray
-) -> np.ndarray:
-    """Interpolate each frame's points at given arc lengths.
-
-    Parameters
-    ----------
-    frame : (N,) array of int
-        Number of each point's frame.
-    s : (N,) array
-        Arc length of each point [m].
-    points : (N, 2) array
-        Positions [m].
-    places : (M,) array
-        Arc lengths at which positions are wanted [m].
-
-    Returns
-    -------
-    (F, M, 2) array
-        Positions in each frame [m]; NaN beyond its outermost points.
-    """
-    result = np.full((int(frame.max()) + 1, len(places), 2), np.nan)
-    for number, line in enumerate(result):
-        is_here = frame == number
-        for axis in range(2):
-            coordinate = points[is_here, axis]
-            line[:, axis] = np.interp(
-                places, s[is_here], coordinate, left=np.nan, right=np.nan
-            )
-    return result
-
-
-def _binned_tracks(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
-    """Tracks of places of this width [m]."""
-    bins = np.round(s / width).astype(int)
-    tracks = []
-    for value in np.unique(bins):
-        points = np.flatnonzero(bins == value)
-        _, first_in_frame = np.unique(frame[points], return_index=True)
-        tracks.append(points[first_in_frame])
-    return tracks

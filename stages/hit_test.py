@@ -76,6 +76,8 @@ def hit_test(
         Hit, closest approach and frames with contact.
     """
     contact_times = _contact_times(seen.points, obstacles, duration)
+
+    # the tip's path in steps of TIME_STEP_S, from the first to the last reading
     readings = seen.readings
     t = readings.loc[readings["valid"].astype(bool), "t"].to_numpy()
     times = np.empty(0)
@@ -85,15 +87,20 @@ def hit_test(
     path = tip_path(readings, times)
     if not np.isfinite(path).any():
         return replace(HitResult.unknown(), touched=len(contact_times))
+
+    # it hits if it enters the target before the string touches anything
     inside = np.append(False, target.is_entered_along(path, TIME_STEP_S))
     hit = bool(inside.any())
     if hit and len(contact_times):
         hit = contact_times[0] > times[np.argmax(inside)]
+
+    # the closest approach, among the times in the target if its arrival matters
     is_known = np.isfinite(path[:, 0])
     if target.restricts_arrival and inside.any():
-        is_known &= inside  # it may pass nearer in another direction
+        is_known &= inside  # it may pass nearer in another direction, without a hit
     distance = np.where(is_known, target.distance_to_centre(path), np.inf)
     nearest = int(np.argmin(distance))
+
     before, after = tip_path(readings, times[nearest] + TIME_STEP_S * np.array([-1, 1]))
     velocity = (after - before) / (2 * TIME_STEP_S)
     return HitResult(

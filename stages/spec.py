@@ -121,7 +121,7 @@ class StageCall:
     by : the function that its settings name, with these bound; None without settings
     setup : model, target and devices of the run
     seed : of the call's random numbers
-    number : of the iteration, from 1
+    number : of the iteration, from 1; 0 of the look before the first cast
     progress : called with the share that is done
     """
 

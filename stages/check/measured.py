@@ -18,13 +18,15 @@ from stringcast.stages.common import (
     GRAVITY_M_S2,
     interpolate_rows,
     mad_sigma,
-    places_wander,
-    points_at_arc_lengths,
     step_lengths,
-    track_places,
 )
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.string_places import (
+    places_wander,
+    points_at_arc_lengths,
+    track_places,
+)
 
 INITIAL_FRAMES = 3  # frames that give the initial place
 MOVED_DISTANCE = 0.03  # relative to the string's length: beyond, a place was left

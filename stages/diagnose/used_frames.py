@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.data.trial_faults import MIN_FRAMES
-from stringcast.stages.common import track_places
 from stringcast.stages.inference.basis import (
     KNOT_SPACING_S,
     LOW_FREQUENCY_HZ,
@@ -18,6 +17,7 @@ from stringcast.stages.inference.basis import (
 )
 from stringcast.stages.inference.likelihood import MOTION_SHARE
 from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.string_places import track_places
 
 KEPT_REST_S = 0.2  # of a string at rest
 # From spline to spline of the discrepancy, as a second at 240 Hz has: what moves faster

@@ -32,7 +32,7 @@ LEAST_MEAN_SQUARE = 1e-6  # of residuals over their noise: data may have none
 def sample_posterior(
     parameters: Sequence[Parameter], chi: np.ndarray, linear: Linearisation, seed: int
 ) -> np.ndarray:
-    """Draw exponents (DRAWS, P) about a solution (P,), within their ranges."""
+    """Draw POSTERIOR_DRAWS exponents (K, P) about a solution (P,), within ranges."""
     values = parameter_values(parameters, chi)
     unit = parameter_values(parameters, chi + linear.step) - values
     change = linear.step[:, None] * linear.slope  # of the residuals with a unit
@@ -50,7 +50,7 @@ def sample_posterior(
 def sample_least_squares_posterior(
     targets: Sequence[MatchingTarget], chi: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Draw exponents (DRAWS, P) about a solution (P,), whichever way it was found.
+    """Draw exponents (K, P) about a solution (P,), whichever way it was found.
 
     The residuals are those of least squares there.
     """

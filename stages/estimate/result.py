@@ -210,7 +210,7 @@ def _compare_with_trials(
         columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
         frames.append(pd.DataFrame(columns))
         squares.append([trial.mean_square_distances(points) for points in simulated])
-    last_misfit = tabulate_misfit(trial, simulated[1])
+    last_misfit = tabulate_misfit(trial, simulated[1])  # of the last trial
     rms, tip_rms = np.sqrt(np.mean(squares, axis=0)).T
     matching = pd.concat(frames, ignore_index=True)
     return _Comparison(matching, rms, tip_rms, last_misfit)

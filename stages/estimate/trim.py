@@ -9,8 +9,12 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.common import places_wander, points_at_arc_lengths, track_places
 from stringcast.stages.model.box import Box
+from stringcast.stages.string_places import (
+    places_wander,
+    points_at_arc_lengths,
+    track_places,
+)
 
 CONTACT_MARGIN_M = 0.01  # of an obstacle, within which a string may be touching it
 MIN_FRAMES = 3  # worth keeping

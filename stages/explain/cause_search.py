@@ -201,7 +201,7 @@ class CauseSearch:
         if not best.causes:
             return None
         is_near = self.is_near(best, tolerance_m)
-        is_explained = is_near and self.with_noise(best).explain_all
+        is_explained = is_near and self.noise_ratios_of(best).explain_all
         # more causes would be no likelier then
         most_causes = len(best.causes) if is_explained else MAX_CAUSES
         open_ends = []
@@ -228,9 +228,9 @@ class CauseSearch:
         """
         if tip_rms_m(comparison.estimate) <= tolerance_m:
             return True
-        return self.with_noise(comparison).leave_mesh_error
+        return self.noise_ratios_of(comparison).leave_mesh_error
 
-    def with_noise(self, comparison: Comparison) -> NoiseRatios:
+    def noise_ratios_of(self, comparison: Comparison) -> NoiseRatios:
         """Compare what causes that were fitted leave with the noise."""
         causes = comparison.causes
         if causes not in self.noise_ratios:

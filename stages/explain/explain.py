@@ -104,10 +104,12 @@ def explain(
     earlier = [] if previous is None else earlier_causes(previous)
     if not is_surprising and not earlier:
         if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
-            return not_asked(estimate, "The model explains the trials")
+            return estimate_without_causes(estimate, "The model explains the trials")
         noise_ratios = compare_with_noise(model, observations, [estimate])
         if noise_ratios.leave_mesh_error:
-            return not_asked(estimate, "The model leaves the error of its mesh")
+            return estimate_without_causes(
+                estimate, "The model leaves the error of its mesh"
+            )
 
     trials = [prepare_trial(model, observation) for observation in observations]
     effects = candidate_effects(model, effects_by_name(), trials)
@@ -138,7 +140,7 @@ def explain(
     probabilities = posterior_probabilities(compared, len(effects))
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
-    noise_ratios = search.with_noise(explaining)
+    noise_ratios = search.noise_ratios_of(explaining)
     # with three effects, false ones may fit a few trials: others are compared first
     is_checked = not search.is_cut_short or best.causes in earlier
     verdict, sentence = decide(
@@ -181,7 +183,7 @@ def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
     return likely
 
 
-def not_asked(estimate: Estimate, reason: str) -> Explanation:
+def estimate_without_causes(estimate: Estimate, reason: str) -> Explanation:
     """Return the estimate without causes: nothing needs an explanation."""
     finding = {
         "verdict": "not asked",

@@ -19,9 +19,10 @@ from itertools import product
 import numpy as np
 
 from stringcast.data.schema import DataError
-from stringcast.stages.common import points_at_arc_lengths, rms
+from stringcast.stages.common import rms
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.state import StringState
+from stringcast.stages.string_places import points_at_arc_lengths
 
 CURVE_PIECES = 40  # straight pieces of the curve
 PARABOLA_FRAMES = 4  # at 30 Hz more are no parabola, at 200 Hz they are no better

@@ -42,7 +42,7 @@ def order(errors: list[float], factor: float) -> float:
 @pytest.mark.parametrize(
     "integrator", [SemiImplicitEuler(), ImplicitLeapfrog(), RungeKutta4()]
 )
-def test_order_in_the_step(integrator):
+def test_the_error_falls_with_the_step_to_the_order_of_the_method(integrator):
     """Halving the step divides the error by 2^order.
 
     Steps are 1/1.2^k ticks.

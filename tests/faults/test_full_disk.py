@@ -38,7 +38,7 @@ def test_a_full_disk_is_told_and_a_run_and_a_sweep_go_on_to_the_same_result(tmp_
         ),
     ],
 )
-def test_whichever_operation_fails(tmp_path, name, places):
+def test_a_full_disk_fails_every_kind_of_operation_once(tmp_path, name, places):
     (struck,) = struck_by(tmp_path, name).values()
     assert {"mkdir", "open", "write", "fsync", "rename"} <= {
         operation.split()[0] for operation in struck

@@ -167,7 +167,7 @@ def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path, h
     assert toy_run(tmp_path, toy_experiment(1))[0] == [*STEPS.values()]
 
 
-def test_no_clock_decides_anything(tmp_path, monkeypatch, whole):
+def test_no_clock_changes_the_result_of_a_run(tmp_path, monkeypatch, whole):
     """No clock affects the result.
 
     The clock jumps by years in both directions at every look, and every file gets a

@@ -95,7 +95,7 @@ def ask_all(folder, inside):
 
 @fuzzed(30)
 @given(data=st.data())
-def test_settings_of_a_run(run, sandbox, data):
+def test_mutated_settings_of_a_run_crash_no_command(run, sandbox, data):
     inside = sandbox()
     folder = shutil.copytree(run, inside / "outputs" / "run")
     config = json.loads((run / "config.json").read_text())
@@ -108,7 +108,7 @@ def test_settings_of_a_run(run, sandbox, data):
 
 @fuzzed(30)
 @given(data=st.data())
-def test_footers_of_tables(run, sandbox, data):
+def test_mutated_footers_of_tables_crash_no_command(run, sandbox, data):
     inside = sandbox()
     folder = shutil.copytree(run, inside / "outputs" / "run")
     files = sorted(folder.rglob("*.parquet"))
@@ -126,7 +126,7 @@ def test_footers_of_tables(run, sandbox, data):
 
 @fuzzed(30)
 @given(data=st.data())
-def test_bytes_of_a_run(run, sandbox, data):
+def test_mutated_bytes_of_a_run_crash_no_command(run, sandbox, data):
     inside = sandbox()
     folder = shutil.copytree(run, inside / "outputs" / "run")
     files = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -162,7 +162,7 @@ def look_at(folder, inside):
 
 @fuzzed(60)
 @given(data=st.data())
-def test_tables_of_a_dataset(tables, sandbox, data):
+def test_mutated_tables_of_a_dataset_crash_no_command(tables, sandbox, data):
     inside = sandbox()
     folder = inside / "data"
     folder.mkdir()
@@ -182,7 +182,7 @@ def test_tables_of_a_dataset(tables, sandbox, data):
 
 @fuzzed(80)
 @given(data=st.data())
-def test_parquet_tables_of_a_dataset(sandbox, data):
+def test_mutated_parquet_tables_of_a_dataset_crash_no_command(sandbox, data):
     inside = sandbox()
     folder = shutil.copytree(ROOT / "data/sample", inside / "data")
     file = folder / data.draw(st.sampled_from(["points.parquet", "arm.parquet"]))
@@ -192,7 +192,7 @@ def test_parquet_tables_of_a_dataset(sandbox, data):
 
 @fuzzed(80)
 @given(data=st.data())
-def test_files_to_import(sandbox, data):
+def test_mutated_files_to_import_crash_no_command(sandbox, data):
     inside = sandbox()
     names = ["robot_1.csv", "tracker_1.csv", "robot_2.csv", "tracker_2.csv"]
     for name in names:
@@ -232,7 +232,7 @@ def bag():
 
 @fuzzed(150)
 @given(data=st.data())
-def test_recordings_of_ros(bag, sandbox, data):
+def test_mutated_recordings_of_ros_crash_no_command(bag, sandbox, data):
     inside = sandbox()
     file = inside / "bag.mcap"
     file.write_bytes(data.draw(damaged_bytes(bag)))

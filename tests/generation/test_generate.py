@@ -201,7 +201,7 @@ def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, came
     )
 
 
-def test_failures_say_why(arm, camera):
+def test_a_target_that_no_motion_hits_is_refused_with_the_reason(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
         generate(
             Model(STRING, arm, camera),

@@ -332,7 +332,7 @@ def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
         )
 
 
-def test_draws_are_what_is_known(model):
+def test_draws_cover_what_is_known_before_and_after_a_trial(model):
     """Draws represent what is known.
 
     Before a trial they cover the whole range, except for what is known. After it they
@@ -407,7 +407,7 @@ def test_the_way_between_ticks_is_a_cubic():
     )
 
 
-def test_failures_say_why(model, monkeypatch):
+def test_a_search_without_a_motion_ends_with_the_reason(model, monkeypatch):
     with pytest.raises(DataError, match="out of reach"):
         likeliest(
             model, Target(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS

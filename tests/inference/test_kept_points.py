@@ -77,7 +77,7 @@ def test_another_motion_or_place_is_simulated(model, trial, simulated, change):
     assert len(simulated) == 2
 
 
-def test_another_model_is_simulated(model, trial, simulated):
+def test_points_of_another_model_are_simulated_anew(model, trial, simulated):
     batch.measured_points(model, [trial], CANDIDATES)
     batch.measured_points(
         model.with_effects(*find_effects(["wind"])), [trial], CANDIDATES

@@ -18,7 +18,7 @@ TWO = pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two t
 
 @TWO
 @pytest.mark.parametrize(("count", "piece"), [(1, 1), (7, 1), (64, 10), (5, 100)])
-def test_each_thing_is_done_once(count, piece):
+def test_threads_do_each_piece_once(count, piece):
     done = np.zeros(count, int)
 
     def work(first, last):

@@ -489,7 +489,7 @@ def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
     assert compose_experiment("string=fine").string.points == 57
 
 
-def test_help_helps(called):
+def test_help_shows_the_settings_with_their_comments(called):
     shown = called("--help")
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout

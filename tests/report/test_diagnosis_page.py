@@ -441,7 +441,7 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
 @pytest.mark.parametrize(
     ("verdict", "count"), [("none", 2), ("effect", 5), ("pair", 7), ("unknown", 4)]
 )
-def test_what_is_drawn(pages, verdict, count):
+def test_a_page_has_the_drawings_of_its_verdict(pages, verdict, count):
     """A page has maps and sizes, and with causes more maps, laws and predictions."""
     assert len(pages[verdict].all("img")) == count, [
         p["alt"] for p in pages[verdict].all("img")
@@ -720,7 +720,7 @@ def test_values_have_the_figures_that_their_interval_is_worth(
     assert format_quantity(row) == (words, between)
 
 
-def test_shares_and_gains():
+def test_shares_and_gains_are_written_for_people():
     assert [format_percent(p) for p in (0.0, 0.004, 0.58, 0.9994, 1.0)] == [
         "under 1 %",
         "under 1 %",

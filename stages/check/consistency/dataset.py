@@ -15,7 +15,7 @@ from stringcast.stages.check.measured import (
     CheckedTrial,
     drop_spikes,
 )
-from stringcast.stages.common import (
+from stringcast.stages.string_places import (
     places_wander,
     points_at_arc_lengths,
     track_places,

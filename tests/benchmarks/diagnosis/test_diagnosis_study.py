@@ -147,7 +147,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", RIGHT)
-def test_right_answers(name):
+def test_a_right_answer_is_counted_as_correct(name):
     assert is_correct(RIGHT[name])
 
 
@@ -156,11 +156,11 @@ def test_a_cause_named_beside_unknown_is_no_right_answer():
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_answers(name):
+def test_a_wrong_answer_is_not_counted_as_correct(name):
     assert not is_correct(WRONG[name])
 
 
-def test_the_probability_of_an_answer():
+def test_the_probability_of_an_answer_is_that_of_its_causes():
     assert answer_probability(RIGHT["named"]) == 0.9
     grouped = RIGHT["in the group of look-alikes"]
     assert answer_name(grouped) == "tip_mass"
@@ -171,7 +171,7 @@ def test_the_probability_of_an_answer():
     assert np.isnan(answer_probability(WRONG["a failure"]))
 
 
-def test_exact_intervals():
+def test_shares_have_the_intervals_of_clopper_and_pearson():
     """Exact intervals are those of Clopper and Pearson.
 
     None of 60 is below 1 - 0.025^(1/60) = 5.96 %. The 95 % limits for 9 of 10 are from
@@ -241,7 +241,7 @@ def test_a_coarse_mesh_is_no_cause():
     assert is_correct(outlying)
 
 
-def test_tables_of_known_rows():
+def test_tables_count_answers_of_each_kind():
     tables = score_rows([*RIGHT.values(), *WRONG.values()])
     assert set(tables) == set(TABLES)
     rates = tables["rates"].set_index("name")
