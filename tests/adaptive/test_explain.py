@@ -208,7 +208,7 @@ def search(monkeypatch):
     )
     monkeypatch.setattr(Comparer, "screened_square", screen)
     monkeypatch.setattr(Comparer, "fit", fit)
-    monkeypatch.setattr(CauseSearch, "with_noise", compare)
+    monkeypatch.setattr(CauseSearch, "noise_ratios_of", compare)
 
     def begin(names, seconds=1e6):
         points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
@@ -361,8 +361,8 @@ def sought(monkeypatch, arm, camera, observe):
         monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
-        monkeypatch.setattr(CauseSearch, "with_noise", lambda *given: ratios)
-        for name in ("build_explanation", "not_asked"):
+        monkeypatch.setattr(CauseSearch, "noise_ratios_of", lambda *given: ratios)
+        for name in ("build_explanation", "estimate_without_causes"):
             monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: None)
         explain(
             Model(implicit_string(12, 1e-3), arm, camera),
