@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ cv2 = LazyModule("cv2")
 
 FRACTIONAL_BITS = 4  # of OpenCV's coordinates
 SUBPIXELS = 1 << FRACTIONAL_BITS
+PIECES_PER_PX = 3  # of a strip, in each direction
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,9 @@ def render_frame(
     frame = wall.copy()
     arm_width = look.arm_width * camera.px_per_m
     string_width = look.string_width * camera.px_per_m
-    _draw_lines(frame, camera.pixels(joints), arm_width, look.arm)
-    _draw_lines(frame, camera.pixels(strings), string_width, look.string)
+    arm, string = camera.pixels(joints), camera.pixels(strings)
+    _draw_lines(frame, arm, arm_width, look.arm, _round_line_coverage)
+    _draw_lines(frame, string, string_width, look.string, strip_coverage)
     return frame
 
 
@@ -119,36 +122,120 @@ def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
     (height, width) ndarray of float32
         Fractions from 0 to 1.
     """
-    thickness = max(round(width * camera.px_per_m), 1)
     shape = camera.height, camera.width
-    return _pixel_coverage(shape, camera.pixels(line), thickness)
+    return _round_line_coverage(shape, camera.pixels(line), width * camera.px_per_m)
+
+
+def strip_coverage(
+    shape: tuple[int, ...], pixels: np.ndarray, width: float
+) -> np.ndarray:
+    """Compute the fraction of each pixel that a strip covers.
+
+    The strip ends flat at the ends of its line. OpenCV's thin lines end 0.1 to 0.4 px
+    later, depending on their direction. The strip is cut into small pieces, each of
+    which counts as an upright rectangle.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the picture [px].
+    pixels : (n, 2)
+        Middle of the strip [px].
+    width
+        Its width [px].
+
+    Returns
+    -------
+    ndarray of this shape
+        Fractions from 0 to 1.
+    """
+    tangent = np.gradient(pixels, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+    segment = np.diff(pixels, axis=0)  # (n - 1, 2)
+    length = np.linalg.norm(segment, axis=1)
+    # a longer segment, or one that is not a number, is of a simulation that diverged
+    drawn = np.flatnonzero(length < sum(shape))
+    if not len(drawn):
+        return np.zeros(shape)
+
+    count_along = max(int(np.ceil(PIECES_PER_PX * length[drawn].max())), 1)
+    count_across = max(int(np.ceil(PIECES_PER_PX * width)), 1)
+    along = ((np.arange(count_along) + 0.5) / count_along)[:, None]
+    across = ((np.arange(count_across) + 0.5) / count_across - 0.5) * width
+    middle = pixels[drawn, None] + along * segment[drawn, None]  # (n - 1, A, 2)
+    turn = normal[drawn + 1] - normal[drawn]
+    side = normal[drawn, None] + along * turn[:, None]
+    piece = middle[:, :, None] + across[:, None] * side[:, :, None]  # (n - 1, A, B, 2)
+
+    # sides of the upright rectangle around a piece, (n - 1, 2) [px]
+    size_along = length[drawn] / count_along
+    size_across = width / count_across
+    unit = np.abs(segment[drawn]) / np.maximum(length[drawn, None], 1e-9)
+    sides = unit * size_along[:, None] + unit[:, ::-1] * size_across
+    areas = np.broadcast_to((size_along * size_across)[:, None, None], piece.shape[:-1])
+    return np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0)
+
+
+def _rectangle_sums(
+    shape: tuple[int, ...], middle: np.ndarray, sides: np.ndarray, areas: np.ndarray
+) -> np.ndarray:
+    """Sum the areas that small upright rectangles have in each pixel of a picture.
+
+    middle: (S, A, B, 2) [px]. sides: (S, 2), at most a pixel. areas: (S, A, B) [px^2].
+    """
+    sides = sides[:, None, None]
+    first = middle + 0.5 - sides / 2  # from the first edge of the picture
+    pixel = np.floor(first).astype(int)
+    # the share of a rectangle that is in the next column and row
+    beyond = np.clip((first + sides - pixel - 1) / np.maximum(sides, 1e-9), 0, 1)
+    sums = np.zeros(shape[0] * shape[1])
+    for next_column in (0, 1):
+        for next_row in (0, 1):
+            column = pixel[..., 0] + next_column
+            row = pixel[..., 1] + next_row
+            inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+            share = np.abs(1 - next_column - beyond[..., 0])
+            share = share * np.abs(1 - next_row - beyond[..., 1])
+            number = row[inside] * shape[1] + column[inside]
+            sums += np.bincount(number, (areas * share)[inside], minlength=len(sums))
+    return sums.reshape(shape)
 
 
 def _draw_lines(
-    frame: np.ndarray, lines: np.ndarray, width: float, brightness: float
+    frame: np.ndarray,
+    lines: np.ndarray,
+    width: float,
+    brightness: float,
+    coverage: Callable[[tuple[int, ...], np.ndarray, float], np.ndarray],
 ) -> None:
     """Draw the mean of polylines (K, n, 2) [px] of a width [px] into a frame.
 
-    Only the part of the frame in which they lie is changed.
+    Only the part of the frame in which they lie is changed. `coverage` computes the
+    fraction of each pixel that one of them covers.
     """
-    thickness = max(round(width), 1)
+    margin = int(np.ceil(width)) + 2
     size = frame.shape[::-1]
-    low = np.floor(lines.min(axis=(0, 1))).astype(int) - thickness - 2
+    low = np.floor(lines.min(axis=(0, 1))).astype(int) - margin
     low = np.clip(low, 0, size)
-    high = np.ceil(lines.max(axis=(0, 1))).astype(int) + thickness + 3
+    high = np.ceil(lines.max(axis=(0, 1))).astype(int) + margin + 1
     high = np.clip(high, low, size)
     part = frame[low[1] : high[1], low[0] : high[0]]
     if part.size:
-        covers = [_pixel_coverage(part.shape, line - low, thickness) for line in lines]
+        covers = [coverage(part.shape, line - low, width) for line in lines]
         part += np.mean(covers, axis=0) * (brightness - part)
 
 
-def _pixel_coverage(
-    shape: tuple[int, ...], pixels: np.ndarray, thickness: int
+def _round_line_coverage(
+    shape: tuple[int, ...], pixels: np.ndarray, width: float
 ) -> np.ndarray:
-    """Compute the fraction of each pixel that a polyline (n, 2) [px] covers."""
+    """Compute the fraction of each pixel that a polyline with round ends covers.
+
+    pixels: (n, 2) [px]. width: [px].
+    """
     canvas = np.zeros(shape, np.uint8)
     fine = np.rint(pixels * SUBPIXELS).astype(np.int32)
+    thickness = max(round(width), 1)
     cv2.polylines(
         canvas, [fine[:, None]], False, 255, thickness, cv2.LINE_AA, FRACTIONAL_BITS
     )

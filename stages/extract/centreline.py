@@ -37,7 +37,7 @@ UNSEEN_PENALTY = 20.0
 END_MARGIN_PX = 10.0
 # into an outline: distance over which a line is extended rather than read
 EXTENSION_PX = 5.0
-END_SHAPE_SIGMA_PX = 0.2  # distance from the end of the light to the string's end
+END_SHAPE_SIGMA_PX = 0.05  # of the end of the light: of drawn lines 0.03 to 0.05
 MIN_PROFILE_REACH_PX = 4.0  # least half width of the profile across the line
 
 
@@ -80,7 +80,8 @@ class CrossProfile:
     ----------
     shift : of the string's middle from the line [px]
     sigma : its standard deviation [px]
-    light : sum across the line [grey levels half pixels]
+    light : sum across the line, of what exceeds the noise [grey levels half pixels]
+    near_light : sum close to the line, with what noise hides
     outlined : whether the arm's outline hides which light is the string's
     unseen : whether nothing is read at a point and the line is extended across it
     """
@@ -88,6 +89,7 @@ class CrossProfile:
     shift: np.ndarray
     sigma: np.ndarray
     light: np.ndarray
+    near_light: np.ndarray
     outlined: np.ndarray
     unseen: np.ndarray
 
@@ -207,7 +209,8 @@ def refine_line(
     read_count = max(len(path) - int(np.ceil(1.5 * half_width)), 2)
     smoothing = max(2.0, half_width / 2)
     line = gaussian_filter1d(path[:read_count], smoothing, axis=0, mode="nearest")
-    line = _extend_line(line, half_width, 2 * half_width + 4)
+    fit_length = max(6.0, 2 * half_width)
+    line = _extend_line(line, fit_length, 2 * half_width + 4, degree=1)
     first = _centre_points(frame, line, half_width)
     if np.isnan(first.light[-1]):
         return first  # its end is hidden, so that nothing shows where to extend it
@@ -219,7 +222,8 @@ def refine_line(
     count = max(round(depth[-1]) + 1, 2)
     even_depth = np.linspace(0, depth[-1], count)
     line = interpolate_rows(even_depth, depth, first.points[:read_count])
-    line = _extend_line(line, half_width, 3 * half_width + 5)
+    # straight on, the tip of a bent string would be up to 0.6 px off
+    line = _extend_line(line, 2 * fit_length, 3 * half_width + 5, degree=2)
     return _centre_points(frame, line, half_width)
 
 
@@ -235,7 +239,7 @@ def _centre_points(
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = turn_left(tangent)
     profile = _cross_profiles(frame, line, normal, half_width)
-    end, end_sigma = _find_end(profile.light, profile.outlined, half_width)
+    end, end_sigma = _find_end(profile.near_light, profile.outlined, half_width)
 
     # points before the tip, and the tip itself a part of a pixel beyond the last one
     last = int(end)
@@ -271,6 +275,9 @@ def _cross_profiles(
     centroid = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
     shift = np.clip(centroid, -reach, reach)
     shift[0] = 0.0  # the arm shows where the string begins
+    # without what noise hides, a fading end would seem to come earlier
+    is_near = np.abs(across) <= 1.3 * half_width + 1
+    near_light = light[:, is_near].sum(axis=1)
 
     is_dark = total < 4 * frame.noise
     on_string = np.abs(across) <= half_width + 1
@@ -283,16 +290,25 @@ def _cross_profiles(
     seen = np.flatnonzero(~is_unseen)
     shift = np.interp(np.arange(len(shift)), seen, shift[seen])
     sigma = centroid_sigma(bright, across, is_unseen, frame.noise, half_width)
-    return CrossProfile(shift, sigma, total, is_outlined, is_unseen)
+    return CrossProfile(shift, sigma, total, near_light, is_outlined, is_unseen)
 
 
-def _extend_line(line: np.ndarray, half_width: float, extension: float) -> np.ndarray:
-    """Extend a line straight by up to `extension` [px], a pixel a point."""
-    end_points = line[-1 - int(max(6.0, 2 * half_width)) :]
-    direction = np.polyfit(np.arange(len(end_points)), end_points, 1)[0]
-    direction /= max(float(np.linalg.norm(direction)), 1e-9)
-    beyond = line[-1] + np.arange(1, extension)[:, None] * direction
-    return np.concatenate([line, beyond])
+def _extend_line(
+    line: np.ndarray, fit_length: float, extension: float, degree: int
+) -> np.ndarray:
+    """Extend a line by up to `extension` points, as far apart as its last ones.
+
+    It goes on along the polynomial of this degree through its last `fit_length` points.
+    """
+    end_points = line[-1 - int(fit_length) :]
+    number = np.arange(1.0 - len(end_points), 1.0)  # 0 at the end of the line
+    degree = min(degree, len(end_points) - 1)
+    beyond = np.arange(1, extension)
+    extended = []
+    for coordinate in end_points.T:
+        *coefficients, _ = np.polyfit(number, coordinate, degree)
+        extended.append(coordinate[-1] + np.polyval([*coefficients, 0.0], beyond))
+    return np.concatenate([line, np.stack(extended, axis=-1)])
 
 
 def _find_end(
@@ -327,7 +343,7 @@ def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> co
     number = np.full(allowed.shape, -1)
     number[allowed] = np.arange(count)
     full_light = max(float(np.percentile(light[allowed], 95)), 1e-6)
-    brightness = np.minimum(light / full_light, 1.0)
+    brightness = np.clip(light / full_light, 0.0, 1.0)
     seen_cost = 1 + FAINT_PENALTY * (1 - brightness[allowed])
     cost = np.where(mask[allowed] > 0, seen_cost, UNSEEN_PENALTY)
 

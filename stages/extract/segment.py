@@ -33,6 +33,7 @@ OUTLINE_ERROR_PX = 1.0  # of the outline of a resting arm
 MAX_LIGHT_GAIN = 5.0  # by which the string's light is raised before a bright arm
 # error from which a pixel does not show where the string's middle is [grey levels]
 MAX_OUTLINE_ERROR_GREY = 10.0
+MAX_DARK_SIGMAS = 2.0  # by which noise makes a pixel darker than it is
 MIN_NOISE_GREY = 0.3  # noise of rounding to whole levels
 
 
@@ -60,7 +61,8 @@ class SegmentedFrame:
 
     Parameters
     ----------
-    light : brightness above everything else, as in front of the scene [grey levels]
+    light : brightness above everything else, as in front of the scene [grey levels];
+        negative by noise where there is no string
     mask : certain pixels of the string, uint8
     arm : where the arm may hide the string, bool
     outline : where the arm's edge makes brightness uncertain, bool
@@ -121,9 +123,9 @@ def segment_frame(
     # bright arm less than a dark wall
     contrast = backdrop.string - expected
     typical = max(float(np.median(contrast)), MIN_NOISE_GREY)
-    light = (
-        np.maximum(above, 0) * typical / np.maximum(contrast, typical / MAX_LIGHT_GAIN)
-    )
+    # darker than noise allows: what was expected beside an outline is only a bound
+    light = np.maximum(above, -MAX_DARK_SIGMAS * noise)
+    light = light * typical / np.maximum(contrast, typical / MAX_LIGHT_GAIN)
     return SegmentedFrame(certain * light, mask, arm, outline, noise)
 
 

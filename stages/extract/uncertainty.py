@@ -18,7 +18,7 @@ MIN_SIGMA_PX = 0.03  # what sampling by pixels leaves
 SMOOTHED_NOISE_SHARE = 0.8  # of the centroid's noise, after averaging along the line
 NOISE_CORRELATION_PX = 2.0  # across, over which noise of a blurred picture is the same
 HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction where nothing is seen
-END_SLOPE_SIGMA = 0.01  # [px/px] error of the direction in which a line is extended
+END_SLOPE_SIGMA = 0.02  # [px/px] error of the direction in which a line is extended
 HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length drawn where nothing is seen
 
 
@@ -80,7 +80,7 @@ def point_sigmas(
     unseen : (K,) bool array
         Whether nothing is seen at a point.
     read_count : int
-        Number of points before the line is extended straight to its end.
+        Number of points before the line is extended to its end.
     end_sigma : float
         Standard deviation of the end along the line [px].
 
