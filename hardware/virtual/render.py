@@ -174,7 +174,7 @@ def strip_coverage(
     unit = np.abs(segment[drawn]) / np.maximum(length[drawn, None], 1e-9)
     sides = unit * size_along[:, None] + unit[:, ::-1] * size_across
     areas = np.broadcast_to((size_along * size_across)[:, None, None], piece.shape[:-1])
-    return np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0)
+    return np.asarray(np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0))
 
 
 def _rectangle_sums(
