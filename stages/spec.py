@@ -155,7 +155,7 @@ class StageSpec:
     Parameters
     ----------
     name : of the stage and, where it has one, of its group of settings
-    makes : class of its artifact, a dataclass of tables (`data.artifacts`)
+    makes : class of its artifact, a dataclass of tables (see `data.artifacts`)
     folder : of the artifact within an iteration, and its name for later stages
     uses : settings that decide the result; a new value makes it out of date
     run : function from a `StageCall` and the inputs, by name, to the artifact

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import Diagnosis, Estimate
+from stringcast.data.diagnoses import Diagnosis
+from stringcast.data.estimates import Estimate
 from stringcast.data.store import write_text
 from stringcast.figures import diagnosis_figure, parameter_figure
 from stringcast.known import KnownString, experiment_for_call

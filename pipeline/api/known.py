@@ -13,7 +13,7 @@ import yaml
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import PARAMETERS
+from stringcast.data.estimates import PARAMETERS
 from stringcast.data.file_checks import mark_yaml_end, read_json
 from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.cli.terminal import explain_hydra_error

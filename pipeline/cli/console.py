@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from stringcast.data.artifacts import Estimate, Prediction
+from stringcast.data.estimates import Estimate, Prediction
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.pipeline.run.log import ForwardingHandler, attach_handler

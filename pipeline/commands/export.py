@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 
 from stringcast.answers import prepare_trials
-from stringcast.data.artifacts import COMMANDS, JOINTS, Estimate
+from stringcast.data.artifacts import COMMANDS, JOINTS
 from stringcast.data.errors import escape_control_characters
+from stringcast.data.estimates import Estimate
 from stringcast.data.store import read_table, write_text
 from stringcast.known import KnownString, experiment_for_call
 from stringcast.measured import read

@@ -15,8 +15,8 @@ from rich.table import Table as TerminalTable
 from rich.text import Text
 
 from stringcast.data import store
-from stringcast.data.artifacts import ESTIMATION_SUMMARY
 from stringcast.data.errors import escape_control_characters
+from stringcast.data.estimates import ESTIMATION_SUMMARY
 from stringcast.data.file_checks import (
     MAX_TEXT_BYTES,
     read_json,

@@ -144,7 +144,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from stringcast.data.artifacts import Estimate, Observation
+from stringcast.data.artifacts import Observation
+from stringcast.data.estimates import Estimate
 from stringcast.stages.common import Progress
 from stringcast.stages.estimate.matching import (
     Matching,

@@ -9,15 +9,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from stringcast.data.artifacts import (
-    Estimate,
-    Explanation,
-    Motion,
-    Points,
-    Surprise,
-    Trial,
-    TrialSet,
-)
+from stringcast.data.artifacts import Motion, Points, Trial, TrialSet
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, Surprise
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.iterations import (

@@ -6,7 +6,8 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from stringcast.data.artifacts import Diagnosis, TrialSet
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,

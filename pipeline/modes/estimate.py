@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import Estimate, Prediction, TrialSet
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.estimates import Estimate, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_estimation
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials

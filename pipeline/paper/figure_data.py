@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import ARM, JOINTS, Estimate, Motion, Points
+from stringcast.data.artifacts import ARM, JOINTS, Motion, Points
+from stringcast.data.estimates import Estimate
 from stringcast.data.file_checks import read_json
 from stringcast.data.schema import Table, parse_columns
 from stringcast.data.store import load, read_table

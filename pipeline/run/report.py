@@ -6,14 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import (
-    Diagnosis,
-    Estimate,
-    Motion,
-    Points,
-    Surprise,
-    Trial,
-)
+from stringcast.data.artifacts import Motion, Points, Trial
+from stringcast.data.diagnoses import Diagnosis
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Surprise
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.run.experiment import Experiment

@@ -8,14 +8,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from stringcast.data.artifacts import (
-    MIN_SHOWN_PROBABILITY,
-    Estimate,
-    Explanation,
-    Motion,
-    Prediction,
-    Surprise,
-)
+from stringcast.data.artifacts import Motion
+from stringcast.data.estimates import Estimate, Prediction
+from stringcast.data.explanations import MIN_SHOWN_PROBABILITY, Explanation, Surprise
 from stringcast.data.file_checks import read_json
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.file_names import SUMMARY_FILE

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.estimates import Estimate
 from stringcast.data.schema import Column, Table, parse_columns
 from stringcast.data.store import read_table
 from stringcast.pipeline.run.provenance import setting_of

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.common import MM_PER_M
 from stringcast.stages.spec import (
     EXTENDED,

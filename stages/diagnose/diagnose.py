@@ -13,14 +13,9 @@ import pandas as pd
 import yaml
 from pydantic import AfterValidator, Field
 
-from stringcast.data.artifacts import (
-    DIAGNOSIS_SUMMARY,
-    HELD_OUT,
-    Diagnosis,
-    Observation,
-    TrialSet,
-)
+from stringcast.data.artifacts import Observation, TrialSet
 from stringcast.data.dataset import describe_rejected
+from stringcast.data.diagnoses import DIAGNOSIS_SUMMARY, HELD_OUT, Diagnosis
 from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.common import InterruptRequest, Progress

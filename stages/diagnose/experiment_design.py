@@ -26,7 +26,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtr
 
-from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS, PREDICTED_STRINGS
+from stringcast.data.artifacts import COMMANDS, CONTROL_POINTS
+from stringcast.data.diagnoses import PREDICTED_STRINGS
 from stringcast.stages.common import describe_causes, rms
 from stringcast.stages.diagnose.candidate_motions import (
     DesignSettings,

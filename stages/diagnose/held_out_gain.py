@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import HELD_OUT, Observation
+from stringcast.data.artifacts import Observation
+from stringcast.data.diagnoses import HELD_OUT
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     unexplained_tip_rms,

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import HELD_OUT, Observation
+from stringcast.data.artifacts import Observation
+from stringcast.data.diagnoses import HELD_OUT
 from stringcast.stages.common import rms
 from stringcast.stages.diagnose.left_out_fits import (
     exponents_without_groups,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import (
+from stringcast.data.diagnoses import (
     CAUSES,
     ENTRIES,
     HYPOTHESES,

@@ -1,6 +1,6 @@
 """Estimate: the string's parameters from trials, three ways with one signature (IV)."""
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.estimates import Estimate
 from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec
 
 STAGE = StageSpec(

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import (
+from stringcast.data.estimates import (
     CANDIDATES,
     DRAWS,
     ESTIMATION_SUMMARY,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from stringcast.data.artifacts import Estimate, TrialSet
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.estimates import Estimate
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.spec import StageCall
 

@@ -2,7 +2,8 @@
 
 import pandas as pd
 
-from stringcast.data.artifacts import Estimate, Explanation, Surprise
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, Surprise
 from stringcast.stages.spec import (
     MODEL,
     CollectedTrials,

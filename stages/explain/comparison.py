@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import Estimate, Observation
+from stringcast.data.artifacts import Observation
+from stringcast.data.estimates import Estimate
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder

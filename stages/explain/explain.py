@@ -15,13 +15,9 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import (
-    EXPLANATION_SUMMARY,
-    EXPLANATIONS,
-    Estimate,
-    Explanation,
-    Observation,
-)
+from stringcast.data.artifacts import Observation
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import EXPLANATION_SUMMARY, EXPLANATIONS, Explanation
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.data.artifacts import Estimate, Observation
+from stringcast.data.artifacts import Observation
+from stringcast.data.estimates import Estimate
 from stringcast.stages.common import rms
 from stringcast.stages.explain.comparison import (
     MIN_EXPLAINED_FRACTION,

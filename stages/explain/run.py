@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from stringcast.data.artifacts import (
-    Estimate,
-    Explanation,
-    Surprise,
-    TrialSet,
-)
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, Surprise
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.spec import StageCall
 

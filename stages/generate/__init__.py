@@ -1,6 +1,7 @@
 """Generate: random joint-velocity curves whose simulated tip hits the target (III)."""
 
-from stringcast.data.artifacts import Estimate, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.estimates import Estimate
 from stringcast.stages.spec import MODEL, LatestIteration, StageSpec
 
 STAGE = StageSpec(

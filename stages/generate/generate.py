@@ -19,10 +19,10 @@ from stringcast.data.artifacts import (
     MOTION_OUTCOME,
     PREDICTED_STRING,
     SPEEDS,
-    Estimate,
     Motion,
 )
 from stringcast.data.errors import ExpectedError
+from stringcast.data.estimates import Estimate
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, SettingsGroup
 from stringcast.stages.generate.curves import (

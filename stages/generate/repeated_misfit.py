@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stringcast.data.artifacts import Estimate, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.estimates import Estimate
 from stringcast.stages.generate.curves import Curves, curves_from_motion
 from stringcast.stages.model.arm import Arm
 

@@ -14,12 +14,8 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from stringcast.data.artifacts import (
-    ATTEMPTS,
-    MOTION_OUTCOME,
-    Estimate,
-    Motion,
-)
+from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Motion
+from stringcast.data.estimates import Estimate
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import Progress, SettingsGroup, partial_progress
 from stringcast.stages.generate.curves import Curves, join_curves

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from scipy.special import ndtri
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.estimates import Estimate
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 

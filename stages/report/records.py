@@ -13,17 +13,10 @@ import pandas as pd
 import yaml
 from matplotlib.figure import Figure
 
-from stringcast.data.artifacts import (
-    JOINTS,
-    Diagnosis,
-    Estimate,
-    Explanation,
-    Motion,
-    Observation,
-    Points,
-    Surprise,
-    Trial,
-)
+from stringcast.data.artifacts import JOINTS, Motion, Observation, Points, Trial
+from stringcast.data.diagnoses import Diagnosis
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, Surprise
 from stringcast.stages.hit_test import HitResult, tip_path
 from stringcast.stages.inference.prepared_trial import observed_motion
 from stringcast.stages.model.arm import Arm

@@ -1,6 +1,8 @@
 """The surprise as a stage: whether a trial is within what was predicted."""
 
-from stringcast.data.artifacts import Estimate, Motion, Points, Surprise, Trial
+from stringcast.data.artifacts import Motion, Points, Trial
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Surprise
 from stringcast.stages.spec import (
     MODEL,
     LatestIteration,

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stringcast.data.artifacts import Estimate, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.estimates import Estimate
 from stringcast.stages.generate.curves import curves_from_motion
 from stringcast.stages.generate.hit_probability import tip_errors
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit

@@ -18,15 +18,9 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import (
-    SURPRISE_SUMMARY,
-    Estimate,
-    Motion,
-    Observation,
-    Points,
-    Surprise,
-    Trial,
-)
+from stringcast.data.artifacts import Motion, Observation, Points, Trial
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import SURPRISE_SUMMARY, Surprise
 from stringcast.stages.common import MM_PER_M
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.extension import extend_model

@@ -9,11 +9,8 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import (
-    JOINTS,
-    Explanation,
-    Observation,
-)
+from stringcast.data.artifacts import JOINTS, Observation
+from stringcast.data.explanations import Explanation
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings

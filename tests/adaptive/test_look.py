@@ -6,7 +6,8 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import CONTROL_POINTS, Estimate
+from stringcast.data.artifacts import CONTROL_POINTS
+from stringcast.data.estimates import Estimate
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
 from tests.faults.toy import (

@@ -6,12 +6,8 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import (
-    EXPLANATION_SUMMARY,
-    EXPLANATIONS,
-    Estimate,
-    Explanation,
-)
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import EXPLANATION_SUMMARY, EXPLANATIONS, Explanation
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Cast

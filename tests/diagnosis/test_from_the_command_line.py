@@ -6,7 +6,8 @@ import pytest
 import yaml
 from conftest import pipeline
 
-from stringcast.data.artifacts import Diagnosis, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.store import load
 from tests.diagnosis.slow_casts import write_slow_casts
 

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.inference import solver
 from stringcast.stages.kept_results import use_store
 from tests.diagnosis.test_forward_selection import diagnose_casts

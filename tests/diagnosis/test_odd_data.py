@@ -10,7 +10,8 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import SWING, sample_curve, true_exponents
 
-from stringcast.data.artifacts import HELD_OUT, JOINTS, MASKS, READINGS, Observation
+from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
+from stringcast.data.diagnoses import HELD_OUT
 from stringcast.pipeline.settings.model_settings import read_parameter_values
 from stringcast.stages.diagnose.document import (
     extended_model_settings,

@@ -12,7 +12,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, true_exponents
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import left_out_fits
 from stringcast.stages.diagnose.candidate_comparison import compare_candidates

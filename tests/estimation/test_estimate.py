@@ -13,13 +13,8 @@ import pytest
 from conftest import TRUTH as ORDINARY
 from conftest import rms_distance, simulated_points, threads
 
-from stringcast.data.artifacts import (
-    CANDIDATES,
-    MASKS,
-    PARAMETERS,
-    READINGS,
-    Observation,
-)
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.data.estimates import CANDIDATES, PARAMETERS
 from stringcast.stages.estimate import cma_es, least_squares, random_search
 from stringcast.stages.estimate.matching import (
     Matching,

@@ -11,15 +11,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from stringcast.data.artifacts import (
-    MASKS,
-    PARAMETERS,
-    READINGS,
-    SCORE,
-    Estimate,
-    Observation,
-    Prediction,
-)
+from stringcast.data.artifacts import MASKS, READINGS, Observation
+from stringcast.data.estimates import PARAMETERS, SCORE, Estimate, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
 from stringcast.pipeline.run.result import run_summary

@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data import store
-from stringcast.data.artifacts import Estimate, Motion, Points, Trial
+from stringcast.data.artifacts import Motion, Points, Trial
+from stringcast.data.estimates import Estimate
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run import report
 from stringcast.pipeline.run.file_names import LOG_FILE

@@ -12,7 +12,8 @@ from conftest import other_threads
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from stringcast.data.artifacts import SPEEDS, Estimate
+from stringcast.data.artifacts import SPEEDS
+from stringcast.data.estimates import Estimate
 from stringcast.data.schema import DataError
 from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate import race, refine

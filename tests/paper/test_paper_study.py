@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 
 from stringcast.data import store
-from stringcast.data.artifacts import ARM, Estimate, Motion, Points
+from stringcast.data.artifacts import ARM, Motion, Points
+from stringcast.data.estimates import Estimate
 from stringcast.pipeline.paper import figure_data, scores
 from stringcast.pipeline.paper.finish import TABLES, finish
 from stringcast.pipeline.settings.composition import compose_settings

@@ -13,7 +13,8 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import Diagnosis, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.store import content_hash, load, read_origin
 from stringcast.pipeline.run import run_folder
 from tests.conftest import swing

@@ -15,7 +15,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.stopping import (

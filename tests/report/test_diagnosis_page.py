@@ -17,7 +17,7 @@ from matplotlib import style
 from matplotlib.colors import to_hex
 from matplotlib.text import Text
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String

@@ -13,7 +13,7 @@ import pytest
 from conftest import ROOT
 
 from stringcast.data.alignment import Alignment
-from stringcast.data.artifacts import Prediction
+from stringcast.data.estimates import Prediction
 from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.overview import dataset_overview
 from stringcast.stages.model.model import Model

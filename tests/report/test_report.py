@@ -18,7 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-from stringcast.data.artifacts import JOINTS, Estimate, Motion, Points, Trial
+from stringcast.data.artifacts import JOINTS, Motion, Points, Trial
+from stringcast.data.estimates import Estimate
 from stringcast.stages.common import interpolate_rows
 from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box

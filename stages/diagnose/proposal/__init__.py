@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from stringcast.data.artifacts import Diagnosis, Motion
+from stringcast.data.artifacts import Motion
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.spec import LatestIteration, StageCall, StageSpec
 
 

@@ -1,6 +1,6 @@
 """Predict: where a fitted model has the string in a trial that was not fitted."""
 
-from stringcast.data.artifacts import Estimate, Prediction
+from stringcast.data.estimates import Estimate, Prediction
 from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec
 
 STAGE = StageSpec(

@@ -13,14 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from stringcast.data.artifacts import (
-    PREDICTED,
-    SCORE,
-    Estimate,
-    Observation,
-    Prediction,
-    TrialSet,
-)
+from stringcast.data.artifacts import Observation, TrialSet
+from stringcast.data.estimates import PREDICTED, SCORE, Estimate, Prediction
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.inference.batch import normalised_residuals
 from stringcast.stages.inference.initial_modes import (

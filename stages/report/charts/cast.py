@@ -11,7 +11,8 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stringcast.data.artifacts import JOINTS, Estimate
+from stringcast.data.artifacts import JOINTS
+from stringcast.data.estimates import Estimate
 from stringcast.stages.common import MM_PER_M, rms
 from stringcast.stages.hit_test import MAX_GAP_S
 from stringcast.stages.model.parameter import Parameter

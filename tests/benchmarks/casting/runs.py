@@ -14,13 +14,10 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from stringcast.data.artifacts import (
-    Diagnosis,
-    Estimate,
-    Explanation,
-    Surprise,
-    TrialSet,
-)
+from stringcast.data.artifacts import TrialSet
+from stringcast.data.diagnoses import Diagnosis
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, Surprise
 from stringcast.hardware.virtual.bench import VirtualBench
 from stringcast.pipeline.modes import Cast
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment

@@ -11,7 +11,8 @@ import yaml
 from conftest import specimen, swing
 from omegaconf import OmegaConf
 
-from stringcast.data.artifacts import JOINTS, Diagnosis
+from stringcast.data.artifacts import JOINTS
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings

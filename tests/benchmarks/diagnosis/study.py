@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from pydantic import Field
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.schema import DataError
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.run.provenance import code_state

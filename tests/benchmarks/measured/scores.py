@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data import store
-from stringcast.data.artifacts import PREDICTED
+from stringcast.data.estimates import PREDICTED
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import Column, Table
 from stringcast.pipeline.run.experiment import Experiment

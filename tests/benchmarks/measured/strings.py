@@ -21,7 +21,7 @@ import pandas as pd
 import yaml
 from rich.progress import track
 
-from stringcast.data.artifacts import Diagnosis
+from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.schema import Column, Table
 from stringcast.data.store import write_table, write_text
 from stringcast.pipeline.run.provenance import (

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from stringcast.data.artifacts import Estimate
+from stringcast.data.estimates import Estimate
 from stringcast.stages.common import readable_name
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.model import Model

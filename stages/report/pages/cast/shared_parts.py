@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from stringcast.data.artifacts import MIN_SHOWN_PROBABILITY, Estimate, Explanation
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import MIN_SHOWN_PROBABILITY, Explanation
 from stringcast.stages.common import describe_causes
 from stringcast.stages.report.charts.camera import ImageRegion, cast_film_data
 from stringcast.stages.report.charts.cast import (

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from stringcast.data.artifacts import Surprise
+from stringcast.data.explanations import Surprise
 from stringcast.stages.extract.reading_report import describe_arm_misfit
 from stringcast.stages.report.charts.camera import ImageRegion, closest_approach_picture
 from stringcast.stages.report.charts.cast import (
