@@ -13,6 +13,7 @@ from stringcast.stages.model.arm import Arm
 
 # degree of the Bezier curves of joint speeds (Eq. 2): six control points each
 INTERVALS = 5
+ROUNDING = 1e-9  # of shares of a movement
 
 
 @dataclass(frozen=True)
@@ -36,17 +37,21 @@ class Curves:
         The ticks go from 0 to `until` [s]; the arm rests after T.
         """
         times = np.arange(round(until / tick) + 1) * tick
-        u = times / self.duration[:, None]
-        inside = np.clip(u, 0, 1)[:, :, None]
-        speed = np.einsum("bkn,bjn->bkj", _bernstein(inside, INTERVALS), self.control)
-        # the tick at T still moves, whatever the rounding
-        speed = speed * (u <= 1 + 1e-9)[..., None]
+        share = times / self.duration[:, None]  # of T, (B, K)
+        u = np.clip(share, 0, 1)[:, :, None]
+
+        weights = _bernstein(u, INTERVALS)
+        speed = np.einsum("bkn,bjn->bkj", weights, self.control)
+        is_moving = share <= 1 + ROUNDING  # the tick at T still moves
+        speed = speed * is_moving[..., None]
+
         # the integral of a Bezier curve is one of a degree more, over sums of points
         sums = np.cumsum(self.control, axis=-1)
         sums = np.pad(sums, ((0, 0), (0, 0), (1, 0)))
-        weights = _bernstein(inside, INTERVALS + 1)
+        weights = _bernstein(u, INTERVALS + 1)
         turn = np.einsum("bkn,bjn->bkj", weights, sums / (INTERVALS + 1))
-        return self.start[:, None] + turn * self.duration[:, None, None], speed
+        angles = self.start[:, None] + turn * self.duration[:, None, None]
+        return angles, speed
 
     def select(self, chosen: np.ndarray | slice) -> Curves:
         """Select movements by their numbers."""
@@ -130,12 +135,13 @@ def plain_cast(arm: Arm, duration: float) -> Curves:
     """
     lowest, highest = np.asarray(arm.lowest), np.asarray(arm.highest)
     sweep = (highest - lowest) / 3
-    ticks = whole_ticks(np.array([duration]), arm.tick)
-    control = np.zeros((1, len(sweep), INTERVALS + 1))
-    speed = sweep / ticks * (INTERVALS + 1) / (INTERVALS - 1)
-    control[0, :, 1:-1] = speed[:, None]
     start = (lowest + highest - sweep) / 2
-    return Curves(start[None], ticks, control)
+    durations = whole_ticks(np.array([duration]), arm.tick)
+    # the mean speed is the mean control point, of which the outer two are zero
+    speed = sweep / durations * (INTERVALS + 1) / (INTERVALS - 1)
+    control = np.zeros((1, len(sweep), INTERVALS + 1))
+    control[0, :, 1:-1] = speed[:, None]
+    return Curves(start[None], durations, control)
 
 
 def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:

@@ -10,6 +10,10 @@ from stringcast.data.lazy_module import LazyModule
 
 cv2 = LazyModule("cv2")
 
+# of the inversion of the distortion
+MAX_STEPS = 100
+TOLERANCE = 1e-12
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -42,7 +46,8 @@ class Lens:
     @property
     def mean_focal(self) -> float:
         """Focal length for both directions [px]."""
-        return float(np.sqrt(self.focal[0] * self.focal[1]))
+        fx, fy = self.focal
+        return float(np.sqrt(fx * fy))
 
     def pixels(self, rays: np.ndarray) -> np.ndarray:
         """Map directions (..., 2) to pixels (u, v) (..., 2).
@@ -60,8 +65,10 @@ class Lens:
         k1, k2, p1, p2 = self.distortion
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * k2)
-        u = fx * (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)) + cx
-        v = fy * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y) + cy
+        tangential_x = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        tangential_y = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        u = fx * (x * radial + tangential_x) + cx
+        v = fy * (y * radial + tangential_y) + cy
         return np.stack([u, v], axis=-1)
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
@@ -72,7 +79,8 @@ class Lens:
         flat = np.asarray(pixels, dtype=float).reshape(-1, 1, 2)
         if not len(flat):
             return np.zeros(np.shape(pixels))
-        stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        kind = cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS
+        stop = (kind, MAX_STEPS, TOLERANCE)
         distortion = np.array(self.distortion)
         rays = cv2.undistortPoints(
             flat, self.matrix, distortion, None, None, None, stop

@@ -26,7 +26,7 @@ from stringcast.stages.check.consistency.corrections.times import (
     scale_point_times,
 )
 from stringcast.stages.check.consistency.judge import judge, reason_beside_geometry
-from stringcast.stages.check.consistency.limits import broken_limits
+from stringcast.stages.check.consistency.limits import Limit, broken_limits
 from stringcast.stages.check.consistency.prediction import STIFFNESS_LADDER, ladder
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import find_answer
@@ -103,7 +103,7 @@ def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
         return replace(track, xy=track.xy * [1.0, -1.0])
 
     wrong = right.with_tracks(turn_over)
-    assert {limit.kind for limit in broken_limits(wrong).values()} == {"order"}
+    assert {broken.limit for broken in broken_limits(wrong).values()} == {Limit.ORDER}
     (proposal,) = find_answer(wrong, judge(wrong)).proposals
     assert correction_classes(proposal) == [YDown]
     assert proposal.verdict.measured.length == pytest.approx(0.32, rel=0.05)

@@ -11,7 +11,7 @@ from stringcast.data.dataset import exclude_stray_points
 from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
 from stringcast.stages.check.consistency.judge import Verdict, reason_beside_geometry
-from stringcast.stages.check.consistency.limits import BrokenLimit
+from stringcast.stages.check.consistency.limits import BrokenLimit, Limit
 from stringcast.stages.check.consistency.search import (
     Answer,
     Proposal,
@@ -24,12 +24,12 @@ MAX_JOINT_ANGLE_RAD = 4 * np.pi
 MAX_HAND_ANGLE_RAD = 12 * np.pi
 ANGLE_QUANTILE = 0.9  # of the samples: others may be outliers
 REMEDIES = {
-    "length": "Look at the units of s, x, y and string.length: all are metres",
-    "speed": "Look at the units of joint angles [rad], positions [m] and times [s]",
-    "arc length": "Correct string.length in dataset.yaml, or s",
-    "stretch": "Look at the units of s, x, y and string.length: all are metres",
-    "order": "Look at the names of the points, and at the directions of x and y",
-    "gap": (
+    Limit.LENGTH: "Look at the units of s, x, y and string.length: all are metres",
+    Limit.SPEED: "Look at the units of joint angles [rad], positions [m] and times [s]",
+    Limit.ARC_LENGTH: "Correct string.length in dataset.yaml, or s",
+    Limit.STRETCH: "Look at the units of s, x, y and string.length: all are metres",
+    Limit.ORDER: "Look at the names of the points, and at the directions of x and y",
+    Limit.GAP: (
         "Give points and hand in one frame of reference: see arm.base and "
         "camera.origin_px in dataset.yaml, and whether the angles count from +x, "
         "counter-clockwise"
@@ -60,8 +60,8 @@ def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
     elif verdict.is_consistent:
         return
     elif verdict.broken:
-        for name, limit in verdict.broken.items():
-            yield unexplained_finding(dataset, name, limit)
+        for name, broken in verdict.broken.items():
+            yield unexplained_finding(dataset, name, broken)
     else:
         yield misfit_finding(dataset, verdict, names)
 
@@ -167,19 +167,20 @@ def pairing_finding(dataset: CheckedDataset, pairing: Mapping[str, str]) -> Find
 
 
 def unexplained_finding(
-    dataset: CheckedDataset, name: str, limit: BrokenLimit
+    dataset: CheckedDataset, name: str, broken: BrokenLimit
 ) -> Finding:
     """Return the finding of an impossible string that no common mistake explains.
 
     If merely its length is too small, the trial is left out of a run, which is an error
     if no other trial remains.
     """
-    report, statement = error, limit.statement
-    if limit.kind == "arc length":
+    report, statement = error, broken.statement
+    if broken.limit is Limit.ARC_LENGTH:
         if exclude_stray_points(dataset.data, dataset.length).trials:
             report = warning
         statement += ", and the trial is left out"
-    return report(dataset.points_file, "s, x, y", statement, REMEDIES[limit.kind], name)
+    remedy = REMEDIES[broken.limit]
+    return report(dataset.points_file, "s, x, y", statement, remedy, name)
 
 
 def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from itertools import combinations
 
 import numpy as np
@@ -32,15 +33,22 @@ INITIAL_FRAMES = 10  # wrong clocks matter least at the beginning
 OFFSET_COUNT = 81  # clock offsets that are tried
 
 
+class Limit(Enum):
+    """What no string and no arm exceeds."""
+
+    LENGTH = auto()  # of a string
+    SPEED = auto()  # of a hand
+    ARC_LENGTH = auto()  # of a point, beyond the string's end
+    STRETCH = auto()  # between two points
+    ORDER = auto()  # a tip that rests nearer to the hand than another point
+    GAP = auto()  # between a point and the hand
+
+
 @dataclass(frozen=True)
 class BrokenLimit:
-    """A limit that a trial breaks.
+    """A limit that a trial breaks, and what is impossible."""
 
-    kind: length, speed, arc length, stretch, order or gap. statement: what is
-    impossible.
-    """
-
-    kind: str
+    limit: Limit
     statement: str
 
 
@@ -59,11 +67,11 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
     length = measured.length
     low, high = PLAUSIBLE_LENGTHS_M
     if length is not None and not low <= length <= high:
-        return BrokenLimit("length", f"no string is {length:.4g} m long")
+        return BrokenLimit(Limit.LENGTH, f"no string is {length:.4g} m long")
     pose = measured.pose(recording)
     speed = hand_speed(recording.t, pose)
     if speed > MAX_HAND_SPEED:
-        return BrokenLimit("speed", f"the hand would move with {speed:.3g} m/s")
+        return BrokenLimit(Limit.SPEED, f"the hand would move with {speed:.3g} m/s")
     known = [track for track in recording.tracks if track.s is not None]
     limit = (
         broken_arc_length(known, length)
@@ -81,7 +89,7 @@ def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | 
             statement = (
                 f"the point at s = {s:.4g} m would be {s + gap:.3g} m from the grasp"
             )
-            return BrokenLimit("gap", statement)
+            return BrokenLimit(Limit.GAP, statement)
     return None
 
 
@@ -92,7 +100,7 @@ def broken_arc_length(
     for track in tracks:
         if length and track.s and track.s > MAX_ARC_LENGTH_RATIO * length:
             statement = f"s goes up to {track.s:.4g} m on a string of {length:.4g} m"
-            return BrokenLimit("arc length", statement)
+            return BrokenLimit(Limit.ARC_LENGTH, statement)
     return None
 
 
@@ -105,7 +113,7 @@ def broken_stretch(tracks: Sequence[Track]) -> BrokenLimit | None:
                 f"the points at s = {first.s:.4g} and {second.s:.4g} m are {ratio:.3g} "
                 "times as far apart as their arc lengths"
             )
-            return BrokenLimit("stretch", statement)
+            return BrokenLimit(Limit.STRETCH, statement)
     return None
 
 
@@ -125,7 +133,7 @@ def broken_order(recording: Recording, hand: np.ndarray) -> BrokenLimit | None:
                 f"the tip would rest {tip_m:.3g} m from the grasp, and the point "
                 f"'{track.point}' {distance_m:.3g} m"
             )
-            return BrokenLimit("order", statement)
+            return BrokenLimit(Limit.ORDER, statement)
     return None
 
 

@@ -16,11 +16,12 @@ from stringcast.stages.check.consistency.judge import (
     farthest_point,
     fit_trial,
 )
+from stringcast.stages.check.consistency.limits import Limit
 from stringcast.stages.check.consistency.prediction import predict
 from stringcast.stages.check.consistency.record import Measurements, Recording
 
 # that a hand of another trial breaks: those of the points' distances from it
-LIMITS_OF_OTHER_HANDS = {"gap", "order"}
+LIMITS_OF_OTHER_HANDS = {Limit.GAP, Limit.ORDER}
 SUSPICIOUS_MISFIT = 0.1  # a trial that misses by more may belong to another hand
 
 
@@ -45,8 +46,8 @@ def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
     dict
         The trial whose points fit, by the trial of the hand; only where they differ.
     """
-    broken = {limit.kind for limit in verdict.broken.values()}
-    has_other_fault = not broken <= LIMITS_OF_OTHER_HANDS
+    limits = {broken.limit for broken in verdict.broken.values()}
+    has_other_fault = not limits <= LIMITS_OF_OTHER_HANDS
     if measured.length is None or has_other_fault:
         return {}
     is_suspicious = max(verdict.misfits.values(), default=0.0) > SUSPICIOUS_MISFIT
