@@ -69,6 +69,8 @@ def build_recording(
     arrivals = arrival_times - moved_at - delay
     stamps = np.array([frame.stamp for frame in film.frames])
     images = [frame.image for frame in film.frames]
+
+    # frames that repeat the one before were not exposed
     resting = int((arrivals < 0).sum())
     is_repeated = repeated_frames(images, resting)
     repeated_count = int(is_repeated.sum())
@@ -79,6 +81,7 @@ def build_recording(
         "late": schedule.lateness,
         "repeats": np.diff(np.append(new, len(is_repeated))) - 1,
     }
+
     # a repeated frame left its place on the schedule empty
     due = max(schedule.last_due_number(film.until), int(schedule.numbers[-1])) + 1
     dropped = due - len(schedule.numbers)
@@ -92,6 +95,7 @@ def build_recording(
         "remarks": "; ".join(film.remarks),
     }
     summary |= lateness_columns("frame_jitter", schedule.lateness)
+
     fault = ""
     if film.failure and t[-1] < film.until - 2 * period:
         fault = f"the camera saw nothing after {t[-1]:.3f} s: {film.failure}"

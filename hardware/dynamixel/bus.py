@@ -212,6 +212,7 @@ class DynamixelBus:
         last = millis if self.clock_ms is None else self.clock_ms
         self.clock_ms = last + (millis - last) % CLOCK_WRAP_MS
         clock = self.clock_ms * 1e-3
+        self._note_tripped_watchdogs(states)
         hold_reason, angles = self._hold_reason(states), self._angles(states)
         return [ArmAnswer(self.command_number, clock, hold_reason, angles)]
 
@@ -223,7 +224,7 @@ class DynamixelBus:
         with suppress(HardwareError):  # no servo is there: the watchdogs act
             for _ in range(MAX_TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
-            self._hold_reason(self._read_all())
+            self._note_tripped_watchdogs(self._read_all())
             if self.watchdogs_armed and not self.latched:
                 self._write_all(BUS_WATCHDOG, 0)
             self.watchdogs_armed = False
@@ -402,11 +403,15 @@ class DynamixelBus:
             # the library does not reset it after an interruption
             self.handler.is_using = False
 
-    def _hold_reason(self, states: Sequence[bytes]) -> str:
-        """Tell from its watchdog why a servo follows no commands; empty if all do."""
-        watchdogs = {register_value(state, BUS_WATCHDOG) for state in states}
-        if WATCHDOG_TRIPPED in watchdogs:
+    def _note_tripped_watchdogs(self, states: Sequence[bytes]) -> None:
+        """Note that the bus is latched if a servo's watchdog has tripped."""
+        if WATCHDOG_TRIPPED in _watchdog_values(states):
             self.latched = True
+
+    def _hold_reason(self, states: Sequence[bytes]) -> str:
+        """Return why a servo follows no commands, by its watchdog; empty if all do."""
+        watchdogs = _watchdog_values(states)
+        if WATCHDOG_TRIPPED in watchdogs:
             return "a servo's bus watchdog stopped it"
         return "" if watchdogs == {self.patience} else "a servo restarted"
 
@@ -416,3 +421,8 @@ class DynamixelBus:
             counts = register_value(state, PRESENT_POSITION) - servo.zero
             angles.append(servo.direction * counts * POSITION_UNIT)
         return tuple(angles)
+
+
+def _watchdog_values(states: Sequence[bytes]) -> set[int]:
+    """Return the values that the servos' watchdogs hold."""
+    return {register_value(state, BUS_WATCHDOG) for state in states}
