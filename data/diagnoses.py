@@ -28,7 +28,7 @@ RESIDUALS = Table(
     x [m]: measured position
     y [m]: measured position
     sigma [m]: noise floor of a coordinate
-    doubt [m]: noise and numerical error together
+    total_sigma [m]: noise and numerical error together
     base_x [m]: the base model fitted to the trials that were used
     base_y [m]: the base model fitted to the trials that were used
     extended_x [m]: the extended model fitted to the trials that were used

@@ -323,21 +323,26 @@ def equivalent_command(options: argparse.Namespace) -> str:
     """Return the command that gives the same without a question."""
     words = ["import", *map(str, options.files), "--to", str(options.to)]
     for name, value in vars(options).items():
-        option = f"--{name.replace('_', '-')}"
-        if name in ("files", "to", "yes", "json"):
-            continue
-        if name == "deg" and value is False:
-            words.append("--rad")
-        elif value in (None, False, (), [], "") or (name, value) == ("base", (0, 0)):
-            continue
-        elif value is True:
-            words.append(option)
-        elif isinstance(value, list):
-            for item in value:
-                words += [option, item]
-        else:
-            words.append(f"{option}={format_option(value)}")
+        if name not in ("files", "to", "yes", "json"):
+            words += option_as_words(name, value)
     return f"{program_name()} {shlex.join(words)}"
+
+
+def option_as_words(name: str, value: Any) -> list[str]:
+    """Return an option as it is typed; nothing for a default."""
+    option = f"--{name.replace('_', '-')}"
+    if name == "deg" and value is False:
+        return ["--rad"]
+    if value in (None, False, (), [], "") or (name, value) == ("base", (0, 0)):
+        return []
+    if value is True:
+        return [option]
+    if isinstance(value, list):
+        words = []
+        for item in value:
+            words += [option, item]
+        return words
+    return [f"{option}={format_option(value)}"]
 
 
 def format_option(value: Any) -> str:

@@ -266,10 +266,14 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
         for name, artifact in iteration.artifacts.items():
             if isinstance(artifact, Trial):
                 folder = result.folder / artifact_folder(iteration.number, name)
-                names = {Path(file).parts[0] for file in artifact.frames["file"]}
-                for path in list(folder.iterdir()):
-                    if path.is_dir() and path.name in names:
-                        disk.remove(path)
+                for path in image_folders(artifact, folder):
+                    disk.remove(path)
+
+
+def image_folders(trial: Trial, folder: Path) -> list[Path]:
+    """Return the folders of images within that of a trial."""
+    names = {Path(file).parts[0] for file in trial.frames["file"]}
+    return [path for path in folder.iterdir() if path.is_dir() and path.name in names]
 
 
 def lacks_frames(result: RunResult) -> bool:

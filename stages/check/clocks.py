@@ -149,7 +149,7 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
         frames_per_sample = max(round(fps * usual), 1)
         interval, sigma = frame_interval(trial.frame_t)
         excess = frames_per_sample / (interval * fps) - 1
-        doubt = NORMAL_95 * sigma / interval
+        half_width = NORMAL_95 * sigma / interval
         if abs(frames_per_sample / (usual * fps) - 1) > RATE_TOLERANCE:
             statement = (
                 f"there are {1 / usual:.4g} frames per second, but camera.fps in "
@@ -160,12 +160,12 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
                 "filmed"
             )
             yield warning(dataset.points_file, "t", statement, remedy, trial.name)
-        elif abs(excess) > max(MIN_RATE_DIFFERENCE, 2 * doubt):
+        elif abs(excess) > max(MIN_RATE_DIFFERENCE, 2 * half_width):
             order = "more" if excess > 0 else "fewer"
             statement = (
-                f"by their times there are {abs(excess):.2%} +- {doubt:.2%} {order} "
-                f"frames per second than camera.fps in dataset.yaml, {fps:g}: one "
-                "clock drifts"
+                f"by their times there are {abs(excess):.2%} +- {half_width:.2%} "
+                f"{order} frames per second than camera.fps in dataset.yaml, {fps:g}: "
+                "one clock drifts"
             )
             remedy = (
                 "See which is right; if it is camera.fps, count times as frame number "

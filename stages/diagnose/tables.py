@@ -41,7 +41,7 @@ from stringcast.stages.model.effect import Effect, ModelChange
 from stringcast.stages.model.library import effects_by_name
 
 MAX_COMPARED_EFFECTS = 8  # the most promising
-CELL_SECONDS = 0.02  # cells over which displacements are averaged
+CELL_S = 0.02  # cells over which displacements are averaged
 CELLS_ALONG_STRING = 4
 MIN_SHOWN_CORRELATION = 0.8  # two such parameters are better read together
 
@@ -72,7 +72,7 @@ def residuals_table(prepared: PreparedData, base: Fit, extended: Fit) -> pd.Data
             "sigma": measured.sigma,
             "x": measured.points[:, 0],
             "y": measured.points[:, 1],
-            "doubt": trial.sigma,
+            "total_sigma": trial.sigma,
             "base_x": base_points[:, 0],
             "base_y": base_points[:, 1],
             "extended_x": extended_points[:, 0],
@@ -180,7 +180,7 @@ def _average_in_cells(
     table = pd.DataFrame({"t": trial.point_times, "s": trial.s, **columns})
     part = np.ceil(trial.s / trial.s.max() * CELLS_ALONG_STRING)
     part = part.clip(1, CELLS_ALONG_STRING)
-    moment = np.floor((table["t"] - trial.times[0]) / CELL_SECONDS)
+    moment = np.floor((table["t"] - trial.times[0]) / CELL_S)
     means = table.groupby([moment, part]).mean().reset_index(drop=True)
     return means.assign(trial=trial.name)
 

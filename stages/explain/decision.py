@@ -114,15 +114,15 @@ def _decide_about(
     effect += f" (probability {probability:.2f})"
     if not is_explained:
         return "partial", f"{effect}; something else is left."
-    doubt = ""
+    caveat = ""
     if not noise_ratios.are_noise:
-        doubt = "more than noise is left: others may act"
+        caveat = "more than noise is left: others may act"
     elif not noise_ratios.explain_half:
-        doubt = "not where the mesh resolves the string"
+        caveat = "not where the mesh resolves the string"
     elif not is_checked:
-        doubt = TIME_IS_UP
-    if doubt:
-        return "candidates", f"{effect}, but {doubt}."
+        caveat = TIME_IS_UP
+    if caveat:
+        return "candidates", f"{effect}, but {caveat}."
     if not is_near:
         effect += "; what is left is the error of the mesh"
     return "cause", f"{effect}."

@@ -99,13 +99,9 @@ def explain(
     budget = Budget(seconds, progress)
     earlier = [] if previous is None else earlier_causes(previous)
     if not is_surprising and not earlier:
-        if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
-            return estimate_without_causes(estimate, "The model explains the trials")
-        noise_ratios = compare_with_noise(model, observations, [estimate])
-        if noise_ratios.leave_mesh_error:
-            return estimate_without_causes(
-                estimate, "The model leaves the error of its mesh"
-            )
+        reason = reason_to_seek_no_cause(model, observations, estimate)
+        if reason:
+            return estimate_without_causes(estimate, reason)
 
     trials = [prepare_trial(model, observation) for observation in observations]
     effects = candidate_effects(model, effects_by_name(), trials)
@@ -158,6 +154,18 @@ def explain(
         compared = {NO_CAUSE: base}
         probabilities = {NO_CAUSE: 1.0}
     return build_explanation(model, compared, probabilities, finding, seed)
+
+
+def reason_to_seek_no_cause(
+    model: Model, observations: Sequence[Observation], estimate: Estimate
+) -> str:
+    """Return why an estimate needs no cause, or nothing if it may need one."""
+    if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
+        return "The model explains the trials"
+    noise_ratios = compare_with_noise(model, observations, [estimate])
+    if noise_ratios.leave_mesh_error:
+        return "The model leaves the error of its mesh"
+    return ""
 
 
 def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:

@@ -487,15 +487,22 @@ class String(Parametrised):
         for effect in self.effects:
             for slot, law in effect.laws().items():
                 arguments = law_arguments(law)
-                places = {}
-                for name in arguments:
-                    # an effect's own parameter before another's of the same name
-                    for row in (f"{effect.name}.{name}", name):
-                        if row in self.row_names:
-                            places[name] = self.row_names.index(row)
-                            break
+                places = self._material_rows(effect, arguments)
                 laws.setdefault(slot, []).append((law, arguments, places))
         return laws
+
+    def _material_rows(
+        self, effect: type[StringEffect], arguments: Sequence[str]
+    ) -> dict[str, int]:
+        """Return the rows of material that a law's arguments take, by their names."""
+        rows = {}
+        for argument in arguments:
+            # an effect's own parameter before another's of the same name
+            for name in (f"{effect.name}.{argument}", argument):
+                if name in self.row_names:
+                    rows[argument] = self.row_names.index(name)
+                    break
+        return rows
 
 
 def _parameter_names(effects: Effects) -> set[str]:

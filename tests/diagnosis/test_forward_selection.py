@@ -241,7 +241,7 @@ def mean_over_cells(table, column):
     part = np.ceil(table["s"] / table["s"].max() * tables.CELLS_ALONG_STRING)
     part = part.clip(1, tables.CELLS_ALONG_STRING)
     start = table.groupby("trial")["t"].transform("min")
-    moment = np.floor((table["t"] - start) / tables.CELL_SECONDS)
+    moment = np.floor((table["t"] - start) / tables.CELL_S)
     return table.groupby(["trial", moment, part])[column].mean().mean()
 
 

@@ -109,7 +109,7 @@ def measured(off=0.004, trials=2, frames=30):
             "x": x,
             "y": y,
             "sigma": SIGMA,
-            "doubt": 1.2 * SIGMA,
+            "total_sigma": 1.2 * SIGMA,
         }
         table |= {
             "base_x": base[0],

@@ -176,11 +176,11 @@ def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
     residuals = {model: trial_rms(table, model) for model in record.models}
     names = residuals["base"].index
     rows = np.arange(len(names))
-    variances = (table[["sigma", "doubt"]] ** 2).groupby(table["trial"]).mean()
+    variances = (table[["sigma", "total_sigma"]] ** 2).groupby(table["trial"]).mean()
     expected = np.sqrt(2 * variances) * MM_PER_M
     figure, axes = new_axes(5.4, 1.2 + 0.3 * len(names))
     label = "noise and numerical error"
-    axes.barh(rows, expected["doubt"], height=0.7, color="grid", label=label)
+    axes.barh(rows, expected["total_sigma"], height=0.7, color="grid", label=label)
     axes.plot(
         expected["sigma"], rows, "|", label="noise floor", ms=14, mew=1.6, color="ink"
     )

@@ -49,7 +49,7 @@ def worst_frame(table: pd.DataFrame) -> pd.DataFrame:
 
     The misfit is relative to the uncertainty of noise and numerical error.
     """
-    ratios = model_distances(table, "base") / table["doubt"]
+    ratios = model_distances(table, "base") / table["total_sigma"]
     t = ratios.groupby(table["t"]).quantile(FRAME_QUANTILE).idxmax()
     return table[table["t"] == t].sort_values("s")
 
