@@ -334,7 +334,7 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(search):
 
 
 @pytest.fixture
-def sought(monkeypatch, arm, camera, observe):
+def explain_and_list(monkeypatch, arm, camera, observe):
     """Return a function that explains a trial, and lists to what effects were added.
 
     Nothing is fitted but the causes of earlier trials, which leave `known_m`.
@@ -386,23 +386,23 @@ def sought(monkeypatch, arm, camera, observe):
     ("ratio", "expected"), [(3.0, [("tip_mass",), NO_CAUSE]), (1.0, [])]
 )
 def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
-    sought, ratio, expected
+    explain_and_list, ratio, expected
 ):
     """It needs no surprise, nor a tip that is far off."""
     previous = earlier({"tip_mass": 1.0}, "cause")
-    assert sought(0.04, previous, ratio) == expected
+    assert explain_and_list(0.04, previous, ratio) == expected
 
 
 @pytest.mark.parametrize(
     ("mesh_fraction", "expected"), [(0.8, []), (0.3, [NO_CAUSE, ("tip_mass",)])]
 )
 def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
-    sought, mesh_fraction, expected
+    explain_and_list, mesh_fraction, expected
 ):
     """The cause of the look left the tip of a cast 16 mm off, as the mesh did."""
     known = {"known_m": 1.5 * TOLERANCE_M, "mesh_fraction": mesh_fraction}
     previous = earlier({"tip_mass": 1.0}, "cause")
-    assert sought(0.08, previous, ratio=1.0, **known) == expected
+    assert explain_and_list(0.08, previous, ratio=1.0, **known) == expected
 
 
 @pytest.mark.parametrize(
@@ -415,13 +415,13 @@ def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
     ],
 )
 def test_causes_are_sought_of_what_noise_and_mesh_do_not_explain(
-    sought, monkeypatch, noises, mesh_fraction, is_surprising, is_sought
+    explain_and_list, monkeypatch, noises, mesh_fraction, is_surprising, is_sought
 ):
     """The tip may be near: of dry friction a cast leaves 2 mm, of 27 mm without it."""
     ratios = NoiseRatios(1.0, 1.0, mesh_fraction)
     monkeypatch.setattr(f"{EXPLAIN}.compare_with_noise", lambda *given: ratios)
     left_m = noises * np.sqrt(2) * NOISE_M
-    found = sought(left_m, None, is_surprising=is_surprising)
+    found = explain_and_list(left_m, None, is_surprising=is_surprising)
     assert found == ([NO_CAUSE] if is_sought else [])
 
 

@@ -18,20 +18,20 @@ ROOT = Path(__file__).resolve().parents[2]
 MEASURED = {"time_offset.offset": {"value": 0.012, "low": 0.0119, "high": 0.0122}}
 
 
-def made(parameter_values, effects=("time_offset",)):
+def experiment_with(parameter_values, effects=("time_offset",)):
     known = {"effects": list(effects), "parameter_values": parameter_values}
     return prepare_experiment(resolve_settings() | known, lambda block: f"conf/{block}")
 
 
 def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
-    parameter = made(MEASURED).model.parameters[-1]
+    parameter = experiment_with(MEASURED).model.parameters[-1]
     assert (parameter.name, parameter.start, parameter.low, parameter.high) == (
         "time_offset.offset",
         0.012,
         0.0119,
         0.0122,
     )
-    plain = made({"time_offset.offset": 0.012}).model.parameters[-1]
+    plain = experiment_with({"time_offset.offset": 0.012}).model.parameters[-1]
     assert (plain.start, plain.low, plain.high) == (0.012, -0.05, 0.05)
 
 
@@ -48,7 +48,7 @@ def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
 )
 def test_a_range_that_is_none_is_refused(told, words):
     with pytest.raises(UserError, match=words):
-        made({"time_offset.offset": told})
+        experiment_with({"time_offset.offset": told})
 
 
 def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
@@ -68,7 +68,7 @@ def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
     )
     assert ended.returncode == 0, ended.stderr
     told = read_extended_model(tmp_path / "run")
-    taken = made(**told).model
+    taken = experiment_with(**told).model
     assert set(taken.measured_ranges) == set(OFF)
     for name, value in OFF.items():
         low, high = taken.measured_ranges[name]

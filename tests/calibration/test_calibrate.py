@@ -38,22 +38,22 @@ DEMANDS = {
 FLAT = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
 
 
-def drawn(seed, **how):
+def draw_pictures(seed, **how):
     rng = np.random.default_rng(seed)
     return tilted(rng, **how), picture(*FLAT, rng, **how)
 
 
 @pytest.fixture(scope="module")
 def pictures():
-    return drawn(0)
+    return draw_pictures(0)
 
 
 @pytest.fixture(scope="module")
 def clean(pictures):
-    return made(*pictures)
+    return calibrate_pictures(*pictures)
 
 
-def made(pictures, flat, board=BOARD, **changed):
+def calibrate_pictures(pictures, flat, board=BOARD, **changed):
     return calibrate(pictures, [flat], board, NOMINAL, **DEMANDS | changed)
 
 
@@ -131,7 +131,7 @@ def _distance():
 
 @pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
 def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
-    worse = made(*drawn(1, blur=blur, noise=noise))
+    worse = calibrate_pictures(*draw_pictures(1, blur=blur, noise=noise))
     z = (worse.measured["value"].iloc[:8] - lens_values(LENS)) / worse.measured[
         "sigma"
     ].iloc[:8]
@@ -201,7 +201,7 @@ def test_views_that_are_parallel_cannot_tell_the_focal_length():
         (0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4)
         for k in range(10)
     ]
-    found = made(tilted(rng, parallel), picture(*FLAT, rng))
+    found = calibrate_pictures(tilted(rng, parallel), picture(*FLAT, rng))
     assert not found.outcome["valid"].iloc[0]
     assert (
         "are needed to tell focal length from distance. Tilt the board" in found.reason
@@ -211,7 +211,7 @@ def test_views_that_are_parallel_cannot_tell_the_focal_length():
 def test_a_half_of_the_picture_that_no_corner_covers_is_named(pictures):
     rng = np.random.default_rng(6)
     left = [(x, y, roll, -0.75, down, 0.6) for x, y, roll, _, down, _ in TILTED]
-    found = made(tilted(rng, left), pictures[1])
+    found = calibrate_pictures(tilted(rng, left), pictures[1])
     assert "fewest in its right half: the lens is not known there" in found.reason
 
 
@@ -225,7 +225,7 @@ def test_one_view_that_does_not_fit_is_named(pictures):
         down,
         cv2.INTER_LINEAR,
     )
-    found = made([*tilts[:4], bent, *tilts[5:]], flat)
+    found = calibrate_pictures([*tilts[:4], bent, *tilts[5:]], flat)
     assert found.reason.startswith("view 4 does not fit the others:")
     assert "Leave it out" in found.reason
     assert not found.outcome["valid"].iloc[0]
@@ -234,16 +234,16 @@ def test_one_view_that_does_not_fit_is_named(pictures):
 def test_too_few_views_are_refused(pictures):
     tilts, flat = pictures
     assert (
-        made(tilts[:6], flat, coverage=0.1).reason
+        calibrate_pictures(tilts[:6], flat, coverage=0.1).reason
         == "6 views can be used, 10 are needed. Take more."
     )
     with pytest.raises(
         DataError,
         match=r"read in 2 of 4 pictures; of most, no marker of the dictionary is seen\. Take",
     ):
-        made([*tilts[:2], np.zeros_like(flat), np.zeros_like(flat)], flat)
+        calibrate_pictures([*tilts[:2], np.zeros_like(flat), np.zeros_like(flat)], flat)
     with pytest.raises(DataError, match="board in the plane of motion: no marker"):
-        made(tilts, np.zeros_like(flat))
+        calibrate_pictures(tilts, np.zeros_like(flat))
 
 
 OTHERS = {
@@ -256,7 +256,7 @@ OTHERS = {
 def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
     assert "it is another board" in detect_board(0, pictures[0][4], OTHERS[kind]).reason
     with pytest.raises(DataError, match="it is another board"):
-        made(*pictures, board=OTHERS[kind])
+        calibrate_pictures(*pictures, board=OTHERS[kind])
 
 
 def test_corners_on_one_line_do_not_fix_a_board(pictures):
@@ -271,7 +271,7 @@ def test_corners_on_one_line_do_not_fix_a_board(pictures):
         detect_board(0, strip, BOARD).reason
         == "the 10 corners that are seen are on one line"
     )
-    assert made([strip, *pictures[0]], pictures[1]).reason == ""
+    assert calibrate_pictures([strip, *pictures[0]], pictures[1]).reason == ""
     two = cv2.copyMakeBorder(
         BOARD.image(40)[:, :120], 20, 20, 260, 260, cv2.BORDER_CONSTANT, value=255
     )
@@ -280,7 +280,7 @@ def test_corners_on_one_line_do_not_fix_a_board(pictures):
 
 def test_pictures_of_two_sizes_are_refused(pictures):
     with pytest.raises(DataError, match="pictures are 320x240 and 640x480 px"):
-        made(pictures[0], cv2.resize(pictures[1], (320, 240)))
+        calibrate_pictures(pictures[0], cv2.resize(pictures[1], (320, 240)))
 
 
 def test_a_board_that_cannot_be_is_refused():

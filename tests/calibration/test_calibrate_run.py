@@ -44,7 +44,7 @@ def folders(tmp_path_factory):
     return top
 
 
-def settled(folders, *more):
+def compose_calibration(folders, *more):
     given = {"source.folder": folders / "tilted", "plane.folder": folders / "flat"}
     given |= dict(override.split("=", 1) for override in more)
     words = [f"{name}={value}" for name, value in given.items()]
@@ -52,7 +52,7 @@ def settled(folders, *more):
 
 
 def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
-    here = settled(folders, "calibrate.place.corner=[0.1,0.2]")
+    here = compose_calibration(folders, "calibrate.place.corner=[0.1,0.2]")
     said = Terminal(file=io.StringIO(), width=1000)
     here.mode.perform(here, tmp_path, said)
     # stored images need no action by the user
@@ -106,7 +106,7 @@ def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_lin
 
 
 def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
-    here = settled(folders, "calibrate.views=20")
+    here = compose_calibration(folders, "calibrate.views=20")
     with pytest.raises(
         UserError,
         match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html",
@@ -132,7 +132,7 @@ def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
     ],
 )
 def test_settings_are_refused_by_name(folders, tmp_path, wrong, words):
-    here = settled(folders, wrong)
+    here = compose_calibration(folders, wrong)
     with pytest.raises(UserError, match=words):
         here.mode.perform(here, tmp_path, SILENT)
 

@@ -45,7 +45,7 @@ def trial(arm):
     return made, bench.string_at(made.frames["t"].to_numpy()), bench.specimen.length
 
 
-def off(trial, arm, camera):
+def tip_errors(trial, arm, camera):
     """Return the distance of the tips read from the true ones, (F,) [m]."""
     made, true, length = trial
     film = Film(made.frames["t"].to_numpy(), made.images, arm=made.arm)
@@ -61,7 +61,9 @@ def off(trial, arm, camera):
 
 def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(trial, arm):
     straight = replace(BENT, lens=replace(LENS, distortion=(0.0, 0.0, 0.0, 0.0)))
-    known, ignored = (np.median(off(trial, arm, camera)) for camera in (BENT, straight))
+    known, ignored = (
+        np.median(tip_errors(trial, arm, camera)) for camera in (BENT, straight)
+    )
     assert known < 0.004  # a pixel is 6 mm; measured: 1.4 mm
     assert ignored > 0.008  # measured: 9.8 mm
 

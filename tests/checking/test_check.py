@@ -79,7 +79,7 @@ def dirty():
     return Dirty()
 
 
-def looked_at(folder):
+def read_checked(folder):
     """Check as the command does, without composing the configuration again."""
     data = dataset.read_dataset(folder)
     links = data.metadata.get("arm", {}).get("links", AS_A_RUN.arm.links)
@@ -92,8 +92,8 @@ def looked_at(folder):
     )
 
 
-def found(folder):
-    return collect_findings(looked_at(folder))
+def findings_in(folder):
+    return collect_findings(read_checked(folder))
 
 
 def scaled(name, columns, factor):
@@ -119,7 +119,7 @@ def in_pixels(dirty):
     dirty.points[["x", "y"]] = camera.pixels(dirty.points[["x", "y"]].to_numpy())
 
 
-def exchanged(dirty):
+def exchange_axes(dirty):
     dirty.points[["x", "y"]] = dirty.points[["y", "x"]].to_numpy()
 
 
@@ -192,7 +192,7 @@ def constant(dirty):
     dirty.arm["q2"] = dirty.arm.groupby("trial")["q2"].transform("first")
 
 
-def turned(dirty):
+def turn_over(dirty):
     """Turn everything upside down: consistent, but the string rests above the hand."""
     dirty.with_poses()
     for table in ("grasp", "points"):
@@ -263,7 +263,7 @@ CERTAIN = {
     ),
     "y down": (scaled("points", ["y"], -1), "points.csv y", "Multiply y by -1"),
     "x to the left": (scaled("points", ["x"], -1), "points.csv x", "Multiply x by -1"),
-    "x for y": (exchanged, "points.csv x, y", "Exchange the two columns"),
+    "x for y": (exchange_axes, "points.csv x, y", "Exchange the two columns"),
     "s from the tip": (from_the_tip, "points.csv s", "Replace s by string.length - s"),
     "other origin": (
         other_origin,
@@ -290,7 +290,7 @@ def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
 ):
     spoil, place, remedy = CERTAIN[kind]
     spoil(dirty)
-    here = looked_at(dirty.write(tmp_path))
+    here = read_checked(dirty.write(tmp_path))
     told = collect_findings(here)
     assert all(f.file and f.field and f.statement and f.remedy for f in told)
     errors = [f for f in told if f.severity is Severity.ERROR]
@@ -331,7 +331,7 @@ def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
         drop=True
     )
     spoil(dirty)
-    assert any(f.severity is Severity.ERROR for f in found(dirty.write(tmp_path)))
+    assert any(f.severity is Severity.ERROR for f in findings_in(dirty.write(tmp_path)))
 
 
 def offset(seconds):
@@ -469,7 +469,7 @@ SUSPICIOUS = {
 def test_what_is_suspicious_is_told_to_people_and_programs(dirty, tmp_path, kind):
     spoil, place, remedy = SUSPICIOUS[kind]
     spoil(dirty)
-    here = looked_at(dirty.write(tmp_path))
+    here = read_checked(dirty.write(tmp_path))
     told = collect_findings(here)
     assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [
         f.sentence for f in told
@@ -485,12 +485,12 @@ def test_what_is_suspicious_is_told_to_people_and_programs(dirty, tmp_path, kind
 
 def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
     undescribed(dirty)
-    (told,) = found(dirty.write(tmp_path))
+    (told,) = findings_in(dirty.write(tmp_path))
     assert told.sentence.startswith(
         "dataset.yaml arm.links, arm.base: arm.csv holds joint angles of an arm"
     )
     subprocess.run(["sh", "-c", told.remedy.partition("one: ")[2]], check=True)
-    assert found(tmp_path) == []
+    assert findings_in(tmp_path) == []
 
 
 def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
@@ -505,10 +505,10 @@ def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
 
 
 def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
-    assert found(SAMPLE) == []
-    assert found(dirty.write(tmp_path)) == []
+    assert findings_in(SAMPLE) == []
+    assert findings_in(dirty.write(tmp_path)) == []
     (tmp_path / "arm.csv").unlink()
-    assert found(dirty.with_poses().write(tmp_path)) == []
+    assert findings_in(dirty.with_poses().write(tmp_path)) == []
 
 
 def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
@@ -521,7 +521,7 @@ def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
     dirty.with_poses()
     # a direction may be wrapped
     dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))
-    told = found(dirty.write(tmp_path))
+    told = findings_in(dirty.write(tmp_path))
     assert {f.severity for f in told} == {Severity.NOTE}
     assert any(
         "(1: y is not a finite number; 40: a row twice)" in f.statement for f in told
@@ -573,7 +573,7 @@ def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
         (folder / "arm.csv").write_text(
             "\n".join([head.replace(",", " ,"), *(f"{line}," for line in lines)])
         )
-    here = looked_at(folder)
+    here = read_checked(folder)
     assert not [f for f in collect_findings(here) if f.severity is Severity.ERROR]
     read = dataset.exclude_stray_points(here.data, here.length)
     assert set(read.trials) == set(clean.trials)
@@ -600,7 +600,7 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
     """Fewer points, fewer frames, or the tip alone are not suspicious."""
     kept = dirty.points["s"] >= (1 - 1e-9) * dirty.length * share
     dirty.points = dirty.points[kept]
-    assert found(dirty.write(tmp_path)) == []
+    assert findings_in(dirty.write(tmp_path)) == []
 
 
 def test_every_check_can_find_something():
@@ -629,7 +629,7 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(
         table["t"] *= slow
     dirty.points["s"] *= size
     dirty.about["string"]["length"] *= size
-    worst = found(dirty.write(tmp_path))[0]
+    worst = findings_in(dirty.write(tmp_path))[0]
     assert f"are in {unit}" in worst.statement
     assert worst.remedy.endswith("0.01" if unit == "centimetres" else "0.001")
 
@@ -653,7 +653,7 @@ def test_a_string_that_falls_as_nothing_does_is_told(
         table[["x", "y"]] *= lengths
     dirty.points["s"] *= lengths
     dirty.about["string"]["length"] *= lengths
-    told = found(dirty.write(tmp_path))
+    told = findings_in(dirty.write(tmp_path))
     assert any(said in f.statement and advice in f.remedy for f in told), [
         f.sentence for f in told
     ]
@@ -786,10 +786,10 @@ def test_a_long_trial_is_noted_with_what_a_diagnosis_follows_in_it(seconds, freq
     if frequency is None:
         assert not notes
         return
-    (found,) = notes
-    assert found.severity == Severity.NOTE
-    assert f"up to {frequency} Hz" in found.statement
-    assert set(found.trials) == {f"t{k}" for k in range(2) if seconds[k] > 2}
+    (finding,) = notes
+    assert finding.severity == Severity.NOTE
+    assert f"up to {frequency} Hz" in finding.statement
+    assert set(finding.trials) == {f"t{k}" for k in range(2) if seconds[k] > 2}
 
 
 def test_what_the_trials_can_tell_is_said_where_it_is_asked(
@@ -916,7 +916,7 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
     dirty.arm["t"] += 1.764e9
     reasons = [
         f.statement
-        for f in found(dirty.write(tmp_path))
+        for f in findings_in(dirty.write(tmp_path))
         if f.trials == tuple(TRIALS) and "overlap" in f.statement
     ]
     assert re.search(

@@ -209,7 +209,7 @@ def test_an_effect_like_the_offset_widens_its_interval():
     assert alike.standard_deviation[0] > 2 * unlike.standard_deviation[0]
 
 
-def written(folder, clock):
+def write_with_clock(folder, clock):
     about = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
     folder.mkdir()
     for table in ("arm", "points"):
@@ -220,7 +220,7 @@ def written(folder, clock):
 
 
 def test_a_stated_interval_is_the_range_of_the_offset_in_every_model(tmp_path):
-    folder = written(tmp_path / "stated", {"low": -0.01, "high": 0.02})
+    folder = write_with_clock(tmp_path / "stated", {"low": -0.01, "high": 0.02})
     settings = settings_for_data(folder, [], "+experiment=diagnose")
     assert settings["effects"] == ["time_offset"]
     offset = settings["parameter_values"]["time_offset.offset"]
@@ -232,14 +232,14 @@ def test_a_stated_interval_is_the_range_of_the_offset_in_every_model(tmp_path):
 
 def test_a_wide_interval_is_noted_with_what_would_mend_it(tmp_path):
     wide = read_measurements(
-        written(tmp_path / "wide", {"low": -0.02, "high": 0.02}), []
+        write_with_clock(tmp_path / "wide", {"low": -0.02, "high": 0.02}), []
     )
     (found,) = check_clock_interval(wide)
     assert found.severity == Severity.NOTE
     assert "40 ms, or 8 frames" in found.statement
     assert "LED" in found.remedy
     narrow = read_measurements(
-        written(tmp_path / "narrow", {"low": -0.002, "high": 0.002}), []
+        write_with_clock(tmp_path / "narrow", {"low": -0.002, "high": 0.002}), []
     )
     assert not list(check_clock_interval(narrow))
     assert not list(check_clock_interval(CHECKED))
@@ -249,7 +249,7 @@ def test_a_wide_interval_is_noted_with_what_would_mend_it(tmp_path):
     "clock", [{"low": 0.1, "high": -0.1}, {"low": 0.0}, {"offset": 3.0}]
 )
 def test_a_clock_that_is_no_interval_is_refused(tmp_path, clock):
-    folder = written(tmp_path / "wrong", clock)
+    folder = write_with_clock(tmp_path / "wrong", clock)
     with pytest.raises(DataError, match=r"dataset.yaml: clock"):
         read_metadata(folder)
 

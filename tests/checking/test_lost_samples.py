@@ -15,7 +15,7 @@ from stringcast.data.lost_samples import (
     zero_row_mask,
 )
 from stringcast.stages.check.finding import Severity
-from tests.checking.test_check import Dirty, found
+from tests.checking.test_check import Dirty, findings_in
 
 COUNT = 400
 EXTENT = 0.35  # [m] of what moves
@@ -134,7 +134,7 @@ def test_lost_points_are_named_by_trial_count_and_duration_and_left_out(
     rows = dirty.points[dirty.points["trial"] == "t03"].index
     lost = RNG.choice(rows, len(rows) // 5, replace=False)
     dirty.points.loc[lost, ["x", "y"]] = 0.0
-    told = found(dirty.write(tmp_path))
+    told = findings_in(dirty.write(tmp_path))
     (sentence,) = statements(told)
     assert sentence.startswith("warning points.csv x, y (trial t03)")
     assert f"t03: {len(lost)} of {len(rows)}, for up to 0.0" in sentence
@@ -145,13 +145,13 @@ def test_lost_points_are_named_by_trial_count_and_duration_and_left_out(
 def test_rows_of_zeros_are_an_error_and_the_command_leaves_them_out(dirty, tmp_path):
     clean = dirty.arm.copy()
     dirty.arm.loc[::4, ["q1", "q2", "q3"]] = 0.0
-    (told,) = found(dirty.write(tmp_path))
+    (told,) = findings_in(dirty.write(tmp_path))
     assert told.severity is Severity.ERROR
     assert "t00: " in told.statement
     assert "m/s" in told.statement
     command = told.remedy.partition(": ")[2].replace("python", sys.executable, 1)
     subprocess.run(["sh", "-c", command], check=True)
-    assert all(f.severity is Severity.NOTE for f in found(tmp_path))
+    assert all(f.severity is Severity.NOTE for f in findings_in(tmp_path))
     kept = pd.read_csv(tmp_path / "arm.csv")
     assert len(kept) == len(clean) - len(clean.loc[::4])
 
@@ -171,7 +171,7 @@ def test_times_that_say_nothing_of_the_row_are_named_and_no_clock_is_proposed(
     times = stamps(dirty.points.loc[here, "t"].to_numpy())
     dirty.points["t"] = dirty.points["t"].astype(float)
     dirty.points.loc[here, "t"] = times.astype(float)
-    told = [f for f in found(dirty.write(tmp_path)) if "t03" in f.trials]
+    told = [f for f in findings_in(dirty.write(tmp_path)) if "t03" in f.trials]
     assert [f.field for f in told] == ["t"]
     assert words in told[0].statement
     assert "--fps 200" in told[0].remedy
@@ -183,7 +183,7 @@ def test_angles_that_wrap_are_unwrapped_with_a_note(dirty, tmp_path, cut):
     clean = dirty.arm["q1"].copy()
     start = clean.iloc[60] - cut
     dirty.arm["q1"] = start + (clean - start) % (2 * np.pi)
-    (told,) = found(dirty.write(tmp_path))
+    (told,) = findings_in(dirty.write(tmp_path))
     assert (told.severity, told.field) == (Severity.NOTE, "q1")
     read = dataset.read_dataset(tmp_path).trials
     for name, trial in read.items():

@@ -8,7 +8,7 @@ import pytest
 from stringcast.stages.check import clocks, measured
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.samples import grid_step
-from tests.checking.test_check import Dirty, found, looked_at
+from tests.checking.test_check import Dirty, findings_in, read_checked
 
 RNG = np.random.default_rng(7)
 
@@ -18,7 +18,7 @@ def dirty():
     return Dirty()
 
 
-def made(folder):
+def write_samples(folder):
     folder.mkdir()
     return folder
 
@@ -61,14 +61,14 @@ NOTED = {
 
 
 def test_gross_outliers_change_neither_rest_nor_onset_nor_fall(dirty, tmp_path):
-    clean = looked_at(dirty.write(made(tmp_path / "clean")))
+    clean = read_checked(dirty.write(write_samples(tmp_path / "clean")))
     frames = dirty.points.groupby(["trial", "t"]).ngroup()
     is_out = np.isin(frames, RNG.choice(frames.max() + 1, frames.max() // 20))
     dirty.points.loc[is_out, ["x", "y"]] += 3.0
-    spoilt = looked_at(dirty.write(made(tmp_path / "spoilt")))
+    spoilt = read_checked(dirty.write(write_samples(tmp_path / "spoilt")))
     for before, after in zip(clean.with_points(), spoilt.with_points(), strict=True):
         assert after.string_onset == pytest.approx(before.string_onset, abs=0.016)
-    statements = [finding.statement for finding in found(tmp_path / "spoilt")]
+    statements = [finding.statement for finding in findings_in(tmp_path / "spoilt")]
     assert any("jump away and back" in words for words in statements)
     assert not any("falls with" in words for words in statements)
     assert not any("from the grasp" in words for words in statements)
@@ -79,7 +79,7 @@ def test_a_tip_hidden_for_half_of_the_time_does_not_seem_to_fall(dirty, tmp_path
     middle = (times.transform("min") + times.transform("max")) / 2
     is_tip = dirty.points["s"] == dirty.points["s"].max()
     dirty.points = dirty.points[~(is_tip & (dirty.points["t"] > middle))]
-    statements = [finding.statement for finding in found(dirty.write(tmp_path))]
+    statements = [finding.statement for finding in findings_in(dirty.write(tmp_path))]
     assert not any("falls with" in words for words in statements)
 
 
@@ -87,7 +87,7 @@ def test_a_tip_hidden_for_half_of_the_time_does_not_seem_to_fall(dirty, tmp_path
 def test_what_needs_no_action_is_noted(dirty, tmp_path, spoil):
     spoil(dirty)
     field, words = NOTED[spoil]
-    (told,) = found(dirty.write(tmp_path))
+    (told,) = findings_in(dirty.write(tmp_path))
     assert (told.severity, told.field) == (Severity.NOTE, field)
     assert re.search(words, told.statement), told.statement
 
@@ -113,21 +113,23 @@ def dropped(dirty):
     dirty.points = dirty.points[dirty.points["t"].isin(kept)]
 
 
-def stated(dirty):
+def state_noise(dirty):
     dirty.about["noise"] = {"point_sigma": 7e-4}
 
 
 @pytest.mark.parametrize(
-    "change", [rounded, jittered, dropped, stated], ids=lambda change: change.__name__
+    "change",
+    [rounded, jittered, dropped, state_noise],
+    ids=lambda change: change.__name__,
 )
 def test_what_is_usual_is_not_noted(dirty, tmp_path, change):
     change(dirty)
-    assert found(dirty.write(tmp_path)) == []
+    assert findings_in(dirty.write(tmp_path)) == []
 
 
 def test_dropped_frames_do_not_enlarge_the_noise(dirty, tmp_path):
     dropped(dirty)
-    for trial in looked_at(dirty.write(tmp_path)).trials:
+    for trial in read_checked(dirty.write(tmp_path)).trials:
         assert 0.5e-3 < trial.noise < 1e-3  # of all frames: 0.66 to 0.69 mm
 
 

@@ -71,7 +71,7 @@ def tip(string: String, named: dict, hand: HandMotion = HAND) -> np.ndarray:
     return simulate(string, hand, string.values(named), times).tip
 
 
-def off(string: String, named: dict, exact: np.ndarray) -> float:
+def largest_tip_error_mm(string: String, named: dict, exact: np.ndarray) -> float:
     """Return the largest distance from the exact tip at any time [mm]."""
     return 1e3 * np.linalg.norm(tip(string, named) - exact, axis=-1).max()
 
@@ -116,7 +116,7 @@ def _one(string: String, named: dict, exact: np.ndarray) -> str:
     )
     if not possible[0]:
         return "impractical"
-    return f"{off(string, named, exact):.3f} ({5e3 / steps[0]:.3g} us, {cost(string, named):.0f} ms)"
+    return f"{largest_tip_error_mm(string, named, exact):.3f} ({5e3 / steps[0]:.3g} us, {cost(string, named):.0f} ms)"
 
 
 def by_points() -> list[list[str]]:
@@ -155,7 +155,7 @@ def by_tolerance() -> list[list[str]]:
                 ).string
                 size = [str(found.points), f"{found.largest_step * 1e6:.0f}"]
                 got = [
-                    f"{off(found, KINDS[kind], exact):.2f}",
+                    f"{largest_tip_error_mm(found, KINDS[kind], exact):.2f}",
                     f"{cost(found, KINDS[kind]):.0f}",
                 ]
                 rows.append([kind, f"{tolerance * 1e3:.0f}", method.name, *size, *got])
@@ -242,7 +242,9 @@ def check() -> list[list[str]]:
             fine(points, integrator=RungeKutta4(), largest_step=2e-5), KINDS[kind]
         )
         mine = replace(fine(points), integrator=ImplicitLeapfrog(), largest_step=1e-5)
-        rows.append([str(points), kind, f"{off(mine, KINDS[kind], exact):.5f}"])
+        rows.append(
+            [str(points), kind, f"{largest_tip_error_mm(mine, KINDS[kind], exact):.5f}"]
+        )
     return rows
 
 

@@ -36,7 +36,7 @@ def test_errors_that_shrink_like_a_power_are_found_exactly():
 
 
 @pytest.fixture(scope="module")
-def thrown(arm):
+def fast_cast(arm):
     cast = plain_cast(arm, 0.5)
     hand = JointMotion(0.0, arm.tick, *cast.sample(arm.tick, 0.5)).hand_motion(arm)
     times = hand.start + hand.tick * np.arange(hand.pose.shape[1])
@@ -47,10 +47,10 @@ def thrown(arm):
 
 
 def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(
-    thrown,
+    fast_cast,
 ):
     """Over a plain cast the fine mesh is off by 0.2 mm rms, the paper's by 25 mm."""
-    hand, _, values, times, exact = thrown
+    hand, _, values, times, exact = fast_cast
     fine, paper = (
         np.sqrt(
             np.mean(
@@ -68,28 +68,31 @@ def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_
 
 
 @pytest.mark.parametrize("tolerance", [0.01, 0.003, 0.001])
-def test_the_tip_is_within_the_tolerance_of_a_converged_string(thrown, tolerance):
+def test_the_tip_is_within_the_tolerance_of_a_converged_string(fast_cast, tolerance):
     """The chosen mesh keeps the tolerance, and half as many points do not.
 
     Errors of 0.5 to 0.9 of the tolerance were measured.
     """
-    hand, string, values, times, exact = thrown
+    hand, string, values, times, exact = fast_cast
     found = find_converged_string(string, hand, values, tolerance)
 
-    def off(string: String) -> float:
+    def tip_error(string: String) -> float:
         return np.linalg.norm(
             simulate(string, hand, values, times).tip - exact, axis=-1
         ).max()
 
-    assert off(found.string) < tolerance
-    assert off(found.string) == pytest.approx(
+    assert tip_error(found.string) < tolerance
+    assert tip_error(found.string) == pytest.approx(
         found.point_error_m + found.step_error_m, rel=0.5
     )
-    assert off(replace(found.string, points=(found.string.points + 1) // 2)) > tolerance
+    assert (
+        tip_error(replace(found.string, points=(found.string.points + 1) // 2))
+        > tolerance
+    )
 
 
-def test_what_cannot_be_kept_is_refused_with_what_was_measured(thrown):
-    hand, string, values, _, _ = thrown
+def test_what_cannot_be_kept_is_refused_with_what_was_measured(fast_cast):
+    hand, string, values, _, _ = fast_cast
     with pytest.raises(ToleranceError, match="the best measured is"):
         find_converged_string(string, hand, values, 1e-5)
 

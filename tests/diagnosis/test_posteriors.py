@@ -358,7 +358,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
     assert likeliest.fit.hypothesis.causes == causes
 
 
-def limited(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
+def limit_place(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
     """Limit the probabilities of one place, of 50 candidates, to what trials say."""
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
@@ -383,16 +383,16 @@ def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
     """The odds are then the trials' Bayes factor times the prior odds of one cause."""
     certain = {"a": 0.9, "b": 0.1, "": 0.0}
     there = 0.75 * (1 - posteriors.STAND_IN_SHARE)
-    found = limited(monkeypatch, certain, np.log(150), 1.0)
+    found = limit_place(monkeypatch, certain, np.log(150), 1.0)
     assert found == pytest.approx({"a": 0.9 * there, "b": 0.1 * there, "": 1 - there})
 
-    halfway = limited(monkeypatch, certain, np.log(150), 0.5)
+    halfway = limit_place(monkeypatch, certain, np.log(150), 0.5)
     assert halfway[""] == pytest.approx((1 - there) / 2)
 
 
 def test_no_cause_is_certain_while_misfit_remains(monkeypatch):
     """Something outside the library may do about the same in all trials."""
-    found = limited(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0)
+    found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0)
     assert found["a"] == pytest.approx(1 - posteriors.STAND_IN_SHARE)
 
 
@@ -401,7 +401,7 @@ def test_probabilities_stay_if_nothing_is_lacking_or_they_are_lower(
     monkeypatch, log_bayes_factor, misfit
 ):
     given = {"a": 0.8, "": 0.2}
-    found = limited(monkeypatch, given, log_bayes_factor, misfit)
+    found = limit_place(monkeypatch, given, log_bayes_factor, misfit)
     assert found == pytest.approx(given)
 
 

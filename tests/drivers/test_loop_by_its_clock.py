@@ -434,7 +434,7 @@ ROOMY = {
 ANYWHERE = Workspace((-9.0, -9.0), (9.0, 9.0))
 
 
-def refused(limits, angles, workspace=ANYWHERE):
+def limit_left(limits, angles, workspace=ANYWHERE):
     """Return the limit that is said to be left, and when [s].
 
     The result is empty where none is left.
@@ -450,9 +450,12 @@ def refused(limits, angles, workspace=ANYWHERE):
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_the_speed_may_be_reached_and_not_more(joint, sign):
-    assert refused(ROOMY, sign * swinging_angles(1.0005, joint)) == ()
+    assert limit_left(ROOMY, sign * swinging_angles(1.0005, joint)) == ()
     # the joint is fastest in tick 19
-    assert refused(ROOMY, sign * swinging_angles(1.0015, joint)) == ("arm.speed", 0.095)
+    assert limit_left(ROOMY, sign * swinging_angles(1.0015, joint)) == (
+        "arm.speed",
+        0.095,
+    )
 
 
 def test_the_acceleration_may_be_reached_and_not_more():
@@ -463,14 +466,16 @@ def test_the_acceleration_may_be_reached_and_not_more():
         / ARM.tick
     )
     for share, said in ((1.0005, ""), (1.0015, "arm.acceleration")):
-        found = refused(
+        found = limit_left(
             {**ROOMY, "acceleration": (change / share,) * 3}, swinging_angles(0.5)
         )
         assert (found[0] if found else "") == said
     late = np.concatenate(
         [np.repeat(swinging_angles(0.5)[:1], 30, axis=0), swinging_angles(0.5)]
     )
-    assert refused({**ROOMY, "acceleration": (change / 1.0015,) * 3}, late)[1] >= 0.150
+    assert (
+        limit_left({**ROOMY, "acceleration": (change / 1.0015,) * 3}, late)[1] >= 0.150
+    )
 
 
 def test_the_hands_speed_may_be_reached_and_not_more():
@@ -478,7 +483,7 @@ def test_the_hands_speed_may_be_reached_and_not_more():
     # the arm is outstretched
     speed = ARM.commanded_velocities(angles)[:, 0].max() * ARM.reach
     for share, said in ((1.0005, ""), (1.0015, "arm.hand_speed")):
-        found = refused({**ROOMY, "hand_speed": speed / share}, angles)
+        found = limit_left({**ROOMY, "hand_speed": speed / share}, angles)
         assert (found[0] if found else "") == said
 
 
@@ -489,9 +494,9 @@ def test_the_ends_of_the_range_may_be_touched(end, joint):
     reached = angles[:, joint].min() if end == "lowest" else angles[:, joint].max()
     tight = list(ROOMY[end])
     tight[joint] = float(reached)
-    assert refused({**ROOMY, end: tuple(tight)}, angles) == ()
+    assert limit_left({**ROOMY, end: tuple(tight)}, angles) == ()
     tight[joint] = float(np.nextafter(reached, 0.0))
-    assert refused({**ROOMY, end: tuple(tight)}, angles)[0] == "arm.lowest"
+    assert limit_left({**ROOMY, end: tuple(tight)}, angles)[0] == "arm.lowest"
 
 
 @pytest.mark.parametrize(
@@ -504,11 +509,13 @@ def test_the_edge_of_the_workspace_may_be_touched_by_joints_and_hand(corner, axi
     touched = places[..., axis].min() if corner == "low" else places[..., axis].max()
     edge[corner][axis] = float(touched)
     assert (
-        refused(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()}))
+        limit_left(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()}))
         == ()
     )
     edge[corner][axis] = float(touched + (1e-9 if corner == "low" else -1e-9))
-    found = refused(ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()}))
+    found = limit_left(
+        ROOMY, angles, Workspace(**{k: tuple(v) for k, v in edge.items()})
+    )
     assert found[0] == "hardware.driving.workspace"
 
 

@@ -209,7 +209,7 @@ def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
     check_latency("/dev/ttyUSB7", tmp_path)
 
 
-def limited(firmware, *values, sequence=1):
+def send_limits(firmware, *values, sequence=1):
     return tell(firmware, FrameKind.LIMITS, sequence, values).values
 
 
@@ -219,9 +219,9 @@ def test_nothing_moves_before_limits_were_set():
     assert tell(device, FrameKind.VELOCITY, 2, POSE).state is DeviceState.CLAMPED
     assert device.target == (0.0, 0.0, 0.0)
     # limits are not set while the device moves
-    assert limited(device, *LIMITS)[0] == 0.0
+    assert send_limits(device, *LIMITS)[0] == 0.0
     tell(device, FrameKind.STOP, 3)
-    assert limited(device, *LIMITS) == LIMITS
+    assert send_limits(device, *LIMITS) == LIMITS
     assert tell(device, FrameKind.VELOCITY, 4, POSE).state is DeviceState.MOVING
 
 
@@ -231,12 +231,12 @@ def test_nothing_moves_before_limits_were_set():
     ids=["speed", "rate", "watchdog"],
 )
 def test_limits_that_are_none_are_not_taken_over(firmware, bad):
-    assert limited(firmware, *bad) == LIMITS
+    assert send_limits(firmware, *bad) == LIMITS
 
 
 def test_the_shorter_watchdog_is_in_force(firmware):
-    assert limited(firmware, *LIMITS[:7], 60)[-1] == 25
-    assert limited(firmware, *LIMITS[:7], 11)[-1] == 11
+    assert send_limits(firmware, *LIMITS[:7], 60)[-1] == 25
+    assert send_limits(firmware, *LIMITS[:7], 11)[-1] == 11
     tell(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0))
     firmware.tick(11_000)
     assert firmware.state is DeviceState.MOVING

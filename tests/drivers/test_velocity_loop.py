@@ -63,7 +63,7 @@ def after(number, change):
     return lambda answer: change(answer) if answer.number >= number else answer
 
 
-def turned(answer, by):
+def turn_last_joint(answer, by):
     return ArmAnswer(
         answer.number,
         answer.clock,
@@ -86,9 +86,9 @@ def driver(wire, **changed):
             ),
             "device restarted",
         ),
-        (lambda answer: turned(answer, 0.3), "encoder of joint 2 jumped"),
+        (lambda answer: turn_last_joint(answer, 0.3), "encoder of joint 2 jumped"),
         (
-            lambda answer: turned(answer, -0.02 * (answer.number - 30)),
+            lambda answer: turn_last_joint(answer, -0.02 * (answer.number - 30)),
             r"joint 2 is 0\.\d+ rad from where it was sent",
         ),
     ],
@@ -121,7 +121,9 @@ def test_as_many_misses_as_allowed_are_borne_and_then_forgotten():
 def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
     wire = Script(
         lambda answer: (
-            None if answer.number == 30 else turned(answer, 0.5 * (answer.number > 30))
+            None
+            if answer.number == 30
+            else turn_last_joint(answer, 0.5 * (answer.number > 30))
         )
     )
     with pytest.raises(HardwareError, match="joint 2 jumped"), driver(wire) as arm:

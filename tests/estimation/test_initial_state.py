@@ -93,7 +93,7 @@ def observed(t, seen, places, **more):
     )
 
 
-def found(turn, where, fps, noise, seed=0, outlier=0.0):
+def recover_state(turn, where, fps, noise, seed=0, outlier=0.0):
     """Recover the state from the first frames.
 
     Returns it with the mean errors of places and velocities of segments' ends.
@@ -143,10 +143,10 @@ def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
     A string released at rest is at rest to the last digit; one in motion is not.
     """
     for seed in range(6):
-        state, places, _ = found(0 * TURN, where, fps, noise, seed)
+        state, places, _ = recover_state(0 * TURN, where, fps, noise, seed)
         assert np.all(state.rate == 0.0)
         assert places < place
-        state, places, velocities = found(TURN, where, fps, noise, seed)
+        state, places, velocities = recover_state(TURN, where, fps, noise, seed)
         assert state.rate[-1] > 2.0
         assert places < place
         assert velocities < velocity
@@ -158,7 +158,7 @@ def test_an_outlier_in_the_first_frames_does_no_harm():
     It is 60 mm off in the second frame. The errors are those without it: 0.4 mm, 0.10
     m/s.
     """
-    state, places, velocities = found(TURN, "line", 200, 7e-4, outlier=0.06)
+    state, places, velocities = recover_state(TURN, "line", 200, 7e-4, outlier=0.06)
     assert state.rate[-1] > 2.0
     assert places < 0.6e-3
     assert velocities < 0.15

@@ -38,7 +38,7 @@ def casts(arm, camera):
     ]
 
 
-def off(cast, cell):
+def errors_over_sigma(cast, cell):
     """Return errors of both coordinates over the stated sigma, (F, 30, 2).
 
     Each error is relative to the point's place on the true string.
@@ -67,7 +67,7 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
     the line and 0.5 px at the tip it was 0.4 to 0.6.
     """
     cell = ConditionLevel(condition, severity, CONDITIONS[condition][severity - 1])
-    errors = np.concatenate([off(cast, cell) for cast in casts])
+    errors = np.concatenate([errors_over_sigma(cast, cell) for cast in casts])
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.4
     assert 0.7 < np.sqrt(np.mean(errors[:, -1] ** 2)) < 1.4
 

@@ -28,7 +28,7 @@ from stringcast.data.table_files import with_trial
 from stringcast.pipeline.commands import check, index
 from stringcast.stages.check import clocks, contents
 from stringcast.stages.check.measured import CheckedDataset
-from tests.store.test_dataset import CAMERA, T, given, grasp, points, shade
+from tests.store.test_dataset import CAMERA, T, grasp, points, shade, write_tables
 
 needs_pipes = pytest.mark.skipif(
     not hasattr(os, "mkfifo"), reason="this system has no pipes in folders"
@@ -155,7 +155,7 @@ def test_a_scalar_may_stand_for_itself_again(tmp_path):
 @needs_pipes
 @pytest.mark.parametrize("kind", ["pipe", "device"])
 def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
-    given(
+    write_tables(
         tmp_path,
         {"string": {"length": 0.3}, "camera": CAMERA},
         grasp=grasp(),
@@ -177,7 +177,7 @@ def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
 )
 def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
     folder = tmp_path / "data"
-    given(
+    write_tables(
         folder,
         {"string": {"length": 0.3}, "camera": CAMERA},
         grasp=grasp(),
@@ -196,7 +196,7 @@ def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
 
 
 def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
-    given(
+    write_tables(
         tmp_path / "data", {"string": {"length": 0.3}}, grasp=grasp(), points=points()
     )
     (tmp_path / "data" / "points.csv").rename(tmp_path / "data" / "tracked.csv")
@@ -206,7 +206,7 @@ def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
 
 
 def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 20).to_parquet(tmp_path / "points.parquet")
     monkeypatch.setattr(file_checks, "MAX_TABLE_BYTES", 1000)
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
@@ -219,7 +219,7 @@ def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
 
 def stored(folder, **columns):
     """Store a dataset whose points have these columns in addition or instead."""
-    given(folder, {"string": {"length": 0.3}}, grasp=grasp())
+    write_tables(folder, {"string": {"length": 0.3}}, grasp=grasp())
     whole = {name: pa.array(values) for name, values in points().items()} | columns
     pq.write_table(pa.table(whole), folder / "points.parquet")
 
@@ -247,7 +247,7 @@ def test_a_column_of_lists_that_nobody_asks_for_is_passed_over(tmp_path):
 
 
 def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypatch):
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     names = [*points(), "x"]
     pq.write_table(
         pa.Table.from_arrays([pa.array(points()[n]) for n in names], names),
@@ -269,7 +269,7 @@ def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
 
     Pandas took over a minute to distinguish two million names.
     """
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     (tmp_path / "points.csv").write_bytes(b"trial,t,s,x,y," + b"a," * 100_000)
     with pytest.raises(DataError, match=r"points\.csv: its first line does not end"):
         dataset.read_dataset(tmp_path)
@@ -278,7 +278,7 @@ def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
 def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
     names = [f"t{k}" for k in range(table_files.MAX_TRIALS + 1)]
     many = pd.DataFrame({"trial": names, "t": 0.0, "x": 0.0, "y": 0.0, "theta": 0.0})
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
+    write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
     with pytest.raises(
         DataError,
         match=r"grasp\.csv: it holds 4001 trials, at most 4000 are read\. Split it",
@@ -291,14 +291,14 @@ def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
 def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, last):
     tables = {"grasp": grasp(), "points": points()}
     tables[table].loc[len(T) - 1, "t"] = last
-    given(tmp_path, {"string": {"length": 0.3}}, **tables)
+    write_tables(tmp_path, {"string": {"length": 0.3}}, **tables)
     (found,) = clocks.check_duration(looked_at(tmp_path))
     assert (found.severity, found.file) == ("error", f"{table}.csv")
     assert f"times span {last:.4g} s" in found.statement
 
 
 def test_times_that_are_no_times_are_left_out(tmp_path):
-    given(
+    write_tables(
         tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300)
     )
     read = dataset.read_dataset(tmp_path)
@@ -312,7 +312,7 @@ def test_a_sigma_below_an_atom_is_left_out(tmp_path):
 
     Its square underflows to zero, so that it gives no weight.
     """
-    given(
+    write_tables(
         tmp_path,
         {"string": {"length": 0.3}},
         grasp=grasp(),
@@ -334,7 +334,7 @@ def test_frames_outside_the_folder_are_not_read(tmp_path, way):
     frames = pd.DataFrame(
         {"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named}
     )
-    given(
+    write_tables(
         folder,
         {"string": {"length": 0.3}, "camera": CAMERA},
         grasp=grasp(),
@@ -357,7 +357,7 @@ def test_frames_that_are_not_there_are_counted(tmp_path, named):
     frames = pd.DataFrame(
         {"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named}
     )
-    given(
+    write_tables(
         tmp_path,
         {"string": {"length": 0.3}, "camera": CAMERA},
         grasp=grasp(),
@@ -372,7 +372,7 @@ def test_frames_that_are_not_there_are_counted(tmp_path, named):
 @pytest.mark.parametrize("name", ["[/]", "[bold]", "<script>", "a b"])
 def test_names_are_text_and_no_markup(tmp_path, name):
     folder = tmp_path / "[bold]"
-    given(
+    write_tables(
         folder,
         {"name": "[/]", "string": {"length": 0.3}},
         grasp=grasp(name),
@@ -387,7 +387,7 @@ def test_names_are_text_and_no_markup(tmp_path, name):
 
 
 def test_names_that_steer_a_terminal_are_refused(tmp_path):
-    given(tmp_path, {}, grasp=grasp("a\x1b[2J"), points=points("a\x1b[2J"))
+    write_tables(tmp_path, {}, grasp=grasp("a\x1b[2J"), points=points("a\x1b[2J"))
     with pytest.raises(
         DataError,
         match=r"grasp\.csv: the trial 'a\\x1b\[2J' has a name that cannot be printed",
@@ -408,7 +408,7 @@ def test_what_cannot_be_is_warned_of(tmp_path):
         "camera": {**CAMERA, "fps": 1e12},
         "trials": {"a": {"role": "heldout"}},
     }
-    given(tmp_path, about_it, grasp=grasp(), points=far)
+    write_tables(tmp_path, about_it, grasp=grasp(), points=far)
     data = looked_at(tmp_path)
     assert data.data.row_counts["points.csv"].dropped == {"x is beyond 1e+09": 1}
     said = {
@@ -508,7 +508,7 @@ def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
     It takes 50 kB on the disk, and would take 400 MB if each row had a copy.
     """
     long_text = "x" * 2**20
-    given(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
+    write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 8).assign(remark=long_text).to_parquet(
         tmp_path / "points.parquet"
     )

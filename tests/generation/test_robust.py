@@ -101,7 +101,7 @@ def first_come(*given, seed, **settings):
     )(*given, seed=seed)
 
 
-def known(*strings, rms=0.0):
+def estimate_of(*strings, rms=0.0):
     """Return an estimate whose trials leave exactly these strings possible.
 
     The first of them is the best.
@@ -192,7 +192,7 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
     soft one alone hits with half a chance at most unless by luck; one that is made for
     both hits both.
     """
-    both = known(SOFT, STIFF)
+    both = estimate_of(SOFT, STIFF)
     draws = sample_uncertainty(model, both, NONE, 60, np.random.default_rng(5))
     settings = {
         "attempts": 20000,
@@ -219,7 +219,7 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
 
 
 def test_a_certain_string_is_hit_as_plain_generation_promises(model):
-    motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    motion = likeliest(model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS)
     tip = performed(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
     assert TARGET.is_crossed_by(tip[:-1], tip[1:]).any()
     told = motion.outcome.iloc[0]
@@ -266,7 +266,7 @@ def test_what_comes_after_a_touch_does_not_count(model):
     )
     rng = np.random.default_rng(5)
     curves = first_curves(model.arm, rng, 40, (0.4, 0.6), 100.0)
-    draws = sample_uncertainty(model, known(SOFT), NONE, 1, rng)
+    draws = sample_uncertainty(model, estimate_of(SOFT), NONE, 1, rng)
     some, none = (
         predict_outcome(replace(free, obstacles=(wall,)), curves, draws),
         predict_outcome(free, curves, draws),
@@ -286,12 +286,14 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     A post stands where the hand is at the end, and nowhere near before. The string has
     hit long before that.
     """
-    motion = likeliest(model, TARGET, (), None, known(SOFT), seed=1, **SETTINGS)
+    motion = likeliest(model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS)
     joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
     assert motion.outcome["t_hit"].iloc[0] < motion.duration - 0.02
-    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    draws = sample_uncertainty(
+        model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
+    )
     free, barred = (
         predict_outcome(
             CastTask(model, TARGET, boxes), curves_from_motion(motion), draws
@@ -307,7 +309,7 @@ def test_every_limit_of_the_arm_is_kept(model):
         model,
         arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)),
     )
-    motion = likeliest(slow, TARGET, (), None, known(SOFT), seed=4, **SETTINGS)
+    motion = likeliest(slow, TARGET, (), None, estimate_of(SOFT), seed=4, **SETTINGS)
     curves = curves_from_motion(motion)
     angles, speeds = curves.sample(0.0005, motion.duration)
     assert (
@@ -357,7 +359,7 @@ def test_draws_cover_what_is_known_before_and_after_a_trial(model):
     assert prior.lag.max() == pytest.approx(0.01, rel=0.01)
     after = sample_uncertainty(
         model,
-        known(SOFT, STIFF, rms=0.003),
+        estimate_of(SOFT, STIFF, rms=0.003),
         PlanningUncertainty(0.004, 0.01, 0.02),
         4000,
         rng,
@@ -374,7 +376,7 @@ def test_slow_trials_do_not_show_the_whole_error_of_a_cast(model):
     for rms, sigma in ((0.003, 0.02), (0.04, 0.04)):
         after = sample_uncertainty(
             model,
-            known(SOFT, rms=rms),
+            estimate_of(SOFT, rms=rms),
             PlanningUncertainty(0.004, 0.01, 0.02),
             4000,
             rng,
@@ -395,7 +397,7 @@ def test_stratified_samples_cover_every_part_of_each_range(model):
     parts = np.sort((24 * np.concatenate([chi, lag, error], axis=1)), axis=0)
     np.testing.assert_array_equal(np.floor(parts + 1e-9).T, [np.arange(24)] * 11)
     strings = [SOFT | {"bending_stiffness": 1.0 + k} for k in range(24)]
-    after = sample_uncertainty(model, known(*strings), *known_samples)
+    after = sample_uncertainty(model, estimate_of(*strings), *known_samples)
     assert len(np.unique(after.values, axis=0)) == 24
 
 
@@ -440,7 +442,7 @@ def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
         likeliest(model, target, (), None, None, seed=0, **some)
         for some in (tiny, more)
     )
-    again = likeliest(model, target, (), None, known(SOFT), seed=0, **more)
+    again = likeliest(model, target, (), None, estimate_of(SOFT), seed=0, **more)
     told = motion.outcome.iloc[0]
     assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
     assert told["chance_high"] > 0.2
@@ -482,7 +484,9 @@ def test_a_planned_cast_arrives_in_the_direction_that_is_wanted(model, blind):
     values = model.values(COMMON | STIFF)[None]
     shares = {}
     for name, target in (("any", TARGET), ("down", downwards)):
-        motion = likeliest(model, target, (), None, known(*string), seed=3, **SETTINGS)
+        motion = likeliest(
+            model, target, (), None, estimate_of(*string), seed=3, **SETTINGS
+        )
         tip = performed(model, motion, values)[:, :, -1]
         entered = downwards.is_entered_along(tip, 0.0007)
         shares[name] = bool(entered.any())
@@ -514,7 +518,9 @@ def prospects(task, curves, draws):
 
 def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
     """The stated box is hit, and lies where the tip comes nearest to the target."""
-    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    draws = sample_uncertainty(
+        model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
+    )
     swing = plain_cast(model.arm, 0.6)
     nothing = CastTask(model, Target(0.0, 0.0, 0.02, 0.04), ())
     tip = simulate_motions(nothing, swing, draws).points[0, :, -1]
@@ -531,7 +537,9 @@ def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
 
 def test_motions_are_simulated_once_for_all_that_is_stated(model, monkeypatch):
     """Reach, obstacles and boxes nearby are judged by one simulation of each motion."""
-    draws = sample_uncertainty(model, known(SOFT), NONE, 4, np.random.default_rng(0))
+    draws = sample_uncertainty(
+        model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
+    )
     swings = join_curves([plain_cast(model.arm, 0.6), plain_cast(model.arm, 0.7)])
     task = CastTask(model, Target(-2.0, 0.0, 0.02, 0.04), ())
     counts = []
@@ -552,11 +560,11 @@ def test_what_makes_a_hit_unlikely_is_stated(model):
 
     Of a sure hit nothing is said.
     """
-    two = known(SOFT, STIFF)
+    two = estimate_of(SOFT, STIFF)
     draws = sample_uncertainty(model, two, NONE, 8, np.random.default_rng(0))
     quick = SETTINGS | {"motions": 100, "string_samples": 4, "validation": 20}
     motions = [
-        likeliest(model, TARGET, (), None, known(string), seed=1, **quick)
+        likeliest(model, TARGET, (), None, estimate_of(string), seed=1, **quick)
         for string in (STIFF, SOFT)
     ]
     for sure in motions:

@@ -175,7 +175,7 @@ def motive(folder, bodies, markers):
     return path
 
 
-def moved(x):
+def moving_places(x):
     """Return places (COUNT, 3) of what moves to the right, and begins at x."""
     return np.stack([x + TURN, np.zeros(COUNT), np.zeros(COUNT)], axis=1)
 
@@ -189,44 +189,50 @@ def cut(places, rows):
 
 
 def test_a_marker_that_comes_back_without_its_name_is_the_same(tmp_path):
-    tip, back = cut(moved(0.0), slice(20, 30))
+    tip, back = cut(moving_places(0.0), slice(20, 30))
     take = motive(
         tmp_path,
-        {"flange": moved(1.0)},
-        {"mid": moved(0.5), "tip": tip, "Unlabeled 7": back},
+        {"flange": moving_places(1.0)},
+        {"mid": moving_places(0.5), "tip": tip, "Unlabeled 7": back},
     )
     tables = read(take, plane="x,y")
     points = tables.points.pivot(index="t", columns="point", values="x")
     assert list(points) == ["mid", "tip"]
-    np.testing.assert_allclose(points["tip"], moved(0.0)[:, 0])
+    np.testing.assert_allclose(points["tip"], moving_places(0.0)[:, 0])
     assert "is taken for tip" in tables.notes[0]
 
 
 def test_a_reflection_is_no_point_of_the_string(tmp_path):
-    _, glint = cut(moved(3.0), slice(10, 14))
-    markers = {"mid": moved(0.5), "tip": moved(0.0), "Unlabeled 8": glint}
-    tables = read(motive(tmp_path, {"flange": moved(1.0)}, markers), plane="x,y")
+    _, glint = cut(moving_places(3.0), slice(10, 14))
+    markers = {
+        "mid": moving_places(0.5),
+        "tip": moving_places(0.0),
+        "Unlabeled 8": glint,
+    }
+    tables = read(
+        motive(tmp_path, {"flange": moving_places(1.0)}, markers), plane="x,y"
+    )
     assert set(tables.points["point"]) == {"mid", "tip"}
     assert "a reflection?" in tables.notes[0]
-    clean = {"mid": moved(0.5), "tip": moved(0.0)}
-    tables = read(motive(tmp_path, {"flange": moved(1.0)}, clean), plane="x,y")
+    clean = {"mid": moving_places(0.5), "tip": moving_places(0.0)}
+    tables = read(motive(tmp_path, {"flange": moving_places(1.0)}, clean), plane="x,y")
     assert tables.notes == []
 
 
 def test_of_several_bodies_the_hand_is_asked_for(tmp_path):
-    bodies = {"flange": moved(1.0), "table": moved(9.0)}
-    take = motive(tmp_path, bodies, {"tip": moved(0.0)})
+    bodies = {"flange": moving_places(1.0), "table": moving_places(9.0)}
+    take = motive(tmp_path, bodies, {"tip": moving_places(0.0)})
     with pytest.raises(DataError, match=r"flange, table.*--hand 'flange'"):
         read(take, plane="x,y")
     motion = read(take, plane="x,y", hand="flange").motion
-    np.testing.assert_allclose(motion["x"], moved(1.0)[:, 0])
+    np.testing.assert_allclose(motion["x"], moving_places(1.0)[:, 0])
     with pytest.raises(DataError, match=r"--hand gripper: .*has the bodies"):
         read(take, plane="x,y", hand="gripper")
 
 
 def test_markers_of_the_same_name_are_told_apart_by_their_set_or_refused(tmp_path):
-    body = {"flange": moved(1.0)}
-    markers = {"left:tip": moved(0.0), "right:tip": moved(0.5)}
+    body = {"flange": moving_places(1.0)}
+    markers = {"left:tip": moving_places(0.0), "right:tip": moving_places(0.5)}
     points = read(motive(tmp_path, body, markers), plane="x,y").points
     assert set(points["point"]) == {"left tip", "right tip"}
     path = motive(tmp_path, body, markers)

@@ -21,61 +21,62 @@ from tests.inference.estimation_sets import draw_cast_set, model
 
 
 @pytest.fixture(scope="module")
-def given():
+def cast_set():
     return draw_cast_set(2)
 
 
-def likelihood(given, points, step):
+def likelihood(cast_set, points, step):
     chain = model(points, step)
     return Likelihood(
-        TrialData(tuple(prepare_trial(chain, trial) for trial in given.trials)), chain
+        TrialData(tuple(prepare_trial(chain, trial) for trial in cast_set.trials)),
+        chain,
     )
 
 
-def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(given):
+def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(cast_set):
     found = [
         (r.model.string.points - 1, r.model.string.largest_step)
-        for r in mesh_ladder(likelihood(given, 41, 5e-4))
+        for r in mesh_ladder(likelihood(cast_set, 41, 5e-4))
     ]
     assert found == [(40, 5e-4), (20, 1e-3), (10, 2e-3)]
     for points, rungs in ((10, [10]), (19, [19]), (20, [20, 11])):
-        ladder = mesh_ladder(likelihood(given, points, 1e-3))
+        ladder = mesh_ladder(likelihood(cast_set, points, 1e-3))
         assert [rung.model.string.points for rung in ladder] == rungs
     assert all(
         t.model is r.model
-        for r in mesh_ladder(likelihood(given, 41, 5e-4))
+        for r in mesh_ladder(likelihood(cast_set, 41, 5e-4))
         for t in r.data.trials
     )
 
 
-def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(given):
+def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(cast_set):
     """The error of a mesh is of second order, and equals its distance from the truth.
 
     In the first 0.4 s of casts of string B it is 0.49 mm with 20 points, 0.12 mm with
     39. The truth is points without noise of a chain of 77.
     """
-    chi = parameter_exponents(model().parameters, given.truth)
+    chi = parameter_exponents(model().parameters, cast_set.truth)
     meshes = [
-        likelihood(given, *mesh).cut_after_onset(0.4)
+        likelihood(cast_set, *mesh).cut_after_onset(0.4)
         for mesh in ((20, 1e-3), (39, 5e-4))
     ]
     coarse, fine = (discretisation_error(mesh, chi) for mesh in meshes)
     assert coarse / fine == pytest.approx(4.0, rel=0.05)
-    trial = given.held_out
-    far = rms_distance(prepare_trial(model(77, 2.5e-4), trial), given.truth)
+    trial = cast_set.held_out
+    far = rms_distance(prepare_trial(model(77, 2.5e-4), trial), cast_set.truth)
     own = Likelihood(TrialData((prepare_trial(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
 
 
-def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(given):
+def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
     """A mesh with four times as many segments stands for the limit."""
-    coarse, fine = likelihood(given, 20, 1e-3), likelihood(given, 77, 2.5e-4)
-    chi = parameter_exponents(coarse.parameters, given.truth)
+    coarse, fine = likelihood(cast_set, 20, 1e-3), likelihood(cast_set, 77, 2.5e-4)
+    chi = parameter_exponents(coarse.parameters, cast_set.truth)
     counts = resolved_frames(coarse, chi, 1.0)
     trials = zip(coarse.data.trials, fine.data.trials, counts, strict=True)
     for trial, finer, count in trials:
-        error = simulated_points(trial, given.truth)
-        error -= simulated_points(finer, given.truth)
+        error = simulated_points(trial, cast_set.truth)
+        error -= simulated_points(finer, cast_set.truth)
         in_sigmas = error / trial.sigma[:, None]
         for frame in range(count + 1):
             error_rms = np.sqrt(np.mean(in_sigmas[trial.frame == frame] ** 2))
@@ -83,13 +84,13 @@ def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(given):
         assert 2 < count < len(trial.times)
 
 
-def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(given):
+def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(cast_set):
     """The first horizon ends before a limp string swings to the other side.
 
     It is a quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) =
     0.914 s.
     """
-    first, *others, last = horizons(likelihood(given, 20, 1e-3))
+    first, *others, last = horizons(likelihood(cast_set, 20, 1e-3))
     assert first == pytest.approx(0.914 / 4, rel=1e-3)
     assert np.all(np.diff([first, *others]) > 0)
     assert last == np.inf

@@ -33,7 +33,7 @@ def pushed(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
     )
 
 
-def thrown(start, end, gravity=0.0, **how):
+def throw_point(start, end, gravity=0.0, **how):
     """Return a mass point's state (x, y, vx, vy) at the time `end` [s]."""
 
     def law(_, y):
@@ -97,7 +97,7 @@ def test_a_bounce_off_a_side_gives_back_what_it_took(side):
     velocity along the side changes by 0.03 m/s.
     """
     start, mirror = WAYS[side]
-    end = thrown(start, 0.01, stiffness=1e6)
+    end = throw_point(start, 0.01, stiffness=1e6)
     assert depth(*end[:2]) == 0
     assert np.hypot(*end[2:]) == pytest.approx(np.hypot(*start[2:]), rel=1e-7)
     np.testing.assert_allclose(end[2:], np.multiply(start[2:], mirror), atol=0.03)
@@ -112,7 +112,7 @@ def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
     """
     start, mirror = WAYS[side]
     across = int(np.argmin(mirror))
-    end = thrown(start, 0.01, stiffness=1e6, loss=0.3)
+    end = throw_point(start, 0.01, stiffness=1e6, loss=0.3)
     left, right = (
         -(np.log1p(-0.3 * v) + 0.3 * v)
         for v in (abs(end[2 + across]), -abs(start[2 + across]))
@@ -135,7 +135,7 @@ def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
     Points are thrown at 45 degrees at the upper right edge and next to it.
     """
     start = np.array([0.33 + 0.03 + offset, -0.15 + 0.03 - offset, -1.2, -1.2])
-    out = thrown(start, 0.15)
+    out = throw_point(start, 0.15)
     assert depth(*out[:2]) == 0
     assert np.hypot(*out[2:]) == pytest.approx(1.2 * np.sqrt(2), rel=1e-7)
     if offset == 0:
@@ -172,7 +172,7 @@ def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
 
     Its depth is g / k, to the share 2 (depth / half the width)^2 = 0.05 %.
     """
-    end = thrown([0.3, -0.149, 0.0, 0.0], 6.0, gravity=9.81, loss=0.5)
+    end = throw_point([0.3, -0.149, 0.0, 0.0], 6.0, gravity=9.81, loss=0.5)
     assert -0.15 - end[1] == pytest.approx(9.81 / STIFFNESS, rel=2e-3)
     assert np.abs(end[2:]).max() < 1e-3
 
@@ -183,7 +183,7 @@ def test_a_mass_that_slides_on_top_is_slowed_by_the_friction_coefficient():
     dv/dt = -mu g, less 1 % at speeds well above that of its smooth beginning.
     """
     start = [0.28, -0.15 - 9.81 / STIFFNESS, 0.8, 0.0]
-    end = thrown(start, 0.04, gravity=9.81, friction=0.4)
+    end = throw_point(start, 0.04, gravity=9.81, friction=0.4)
     assert end[1] == pytest.approx(start[1], abs=1e-5)
     assert 0.8 - end[2] == pytest.approx(0.4 * 9.81 * 0.04, rel=0.02)
 
@@ -202,7 +202,7 @@ LIMP = {
 }
 
 
-def swung(boxes, t, **how):
+def swing_string(boxes, t, **how):
     """Simulate an undamped string of 10 points, (F, n, 2) [m].
 
     Its hand moves 0.2 m sideways in 0.25 s and stops.
@@ -260,12 +260,12 @@ def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how)
     upper = {"centre_x": 0.33, "centre_y": -0.14, "width": 0.1, "height": 0.08}
     lower = {"centre_x": 0.42, "centre_y": -0.28, "width": 0.1, "height": 0.1}
     t = np.arange(0, 0.8, 1e-4)
-    points = swung([upper, lower], t, stiffness=stiffness, **how)
+    points = swing_string([upper, lower], t, stiffness=stiffness, **how)
     speed = np.linalg.norm(np.gradient(points, t, axis=0), axis=-1)
     for box in (upper, lower):
         deep = depth(*points.T, box).T
         assert 1e-3 < deep.max() < speed[deep > 0].max() / np.sqrt(stiffness)
-        assert depth(*swung([], t).T, box).max() > 5 * deep.max()
+        assert depth(*swing_string([], t).T, box).max() > 5 * deep.max()
     energy = ledger(points, t, [upper, lower], stiffness)[(t > 0.26) & (t < 0.795)]
     if how:
         assert energy[0] - energy[-1] > 0.04

@@ -302,7 +302,7 @@ def test_tilted_gravity_is_the_whole_experiment_turned():
         "linear_drag": 0.3,
     }
 
-    def moved(pose, **more):
+    def simulate_hand(pose, **more):
         values = string.values(named | more)[None]
         return (
             Model(string, None, None)
@@ -310,8 +310,8 @@ def test_tilted_gravity_is_the_whole_experiment_turned():
             .points[0]
         )
 
-    found = moved(turned, **{"gravity_direction.tilt": tilt})
-    np.testing.assert_allclose(found, moved(pose) @ rotation.T, atol=1e-9)
+    found = simulate_hand(turned, **{"gravity_direction.tilt": tilt})
+    np.testing.assert_allclose(found, simulate_hand(pose) @ rotation.T, atol=1e-9)
 
 
 # --- contact

@@ -19,14 +19,16 @@ from stringcast.stages.model.target import Target
 BOX = Target(0.5, 0.5, 0.02, 0.04)
 
 
-def seen(t, x, y, points=None):
+def readings_of_tip(t, x, y, points=None):
     readings = pd.DataFrame({"t": t, "tip_x": x, "tip_y": y, "valid": np.isfinite(x)})
     return Points(POINTS.empty() if points is None else points, readings, MASKS.empty())
 
 
 def test_a_tip_that_flies_through_between_two_frames_hits():
     t = np.arange(0, 0.1, 0.005) + 0.0005
-    verdict = hit_test(seen(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(
+        readings_of_tip(t, 0.5 + 20 * (t - 0.0505), 0.5 + 0 * t), BOX, (), 0.1
+    )
     assert verdict.hit
     assert verdict.t == pytest.approx(0.0505, abs=5e-4)
     assert verdict.distance < 0.006
@@ -38,7 +40,9 @@ def test_a_tip_that_flies_through_between_two_frames_hits():
 )
 def test_the_box_is_0_02_by_0_04(dx, dy, hit):
     t = np.arange(0, 0.1, 0.005)
-    verdict = hit_test(seen(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(
+        readings_of_tip(t, 0.5 + dx + 0 * t, 0.5 + dy + 0 * t), BOX, (), 0.1
+    )
     assert verdict.hit == hit
     assert verdict.distance == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
@@ -46,29 +50,29 @@ def test_the_box_is_0_02_by_0_04(dx, dy, hit):
 def test_only_the_movement_counts():
     t = np.arange(-0.2, 0.4, 0.005)
     inside = np.where((t < -0.05) | (t > 0.25), 0.5, 0.8)
-    assert not hit_test(seen(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
+    assert not hit_test(readings_of_tip(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
 
 
 def test_nothing_is_guessed_in_a_gap():
     t = np.arange(0, 0.1, 0.005)
     x = 0.3 + 4 * t
     x[(x > 0.4) & (x < 0.6)] = np.nan
-    verdict = hit_test(seen(t, x, 0.5 + 0 * t), BOX, (), 0.1)
+    verdict = hit_test(readings_of_tip(t, x, 0.5 + 0 * t), BOX, (), 0.1)
     assert not verdict.hit
     assert verdict.distance > 0.09
-    assert not hit_test(seen(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
+    assert not hit_test(readings_of_tip(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
 
 
 def test_a_tip_seen_only_outside_the_movement_has_no_distance():
     t = np.array([0.3, 0.305, 0.31])
-    verdict = hit_test(seen(t, t, t), BOX, (), 0.2)
+    verdict = hit_test(readings_of_tip(t, t, t), BOX, (), 0.2)
     assert not verdict.hit
     assert np.isnan(verdict.distance)
 
 
 def test_a_slow_camera_can_see_a_hit():
     t = np.arange(0, 1, 1 / 30)
-    assert hit_test(seen(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
+    assert hit_test(readings_of_tip(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
 
 
 def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
@@ -85,16 +89,20 @@ def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
         for s in (0.0, 0.1, 0.2)
     ]
     wall = Box(0.38, 0.35, 0.021, 0.02)  # the wall is between two points of the string
-    struck = hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1)
+    struck = hit_test(
+        readings_of_tip(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (wall,), 0.1
+    )
     assert (struck.hit, struck.touched) == (False, 1)
     behind = hit_test(
-        seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)),
+        readings_of_tip(t, x, 0.5 + 0 * t, pd.DataFrame(rows)),
         BOX,
         (Box(0.57, 0.35, 0.021, 0.02),),
         0.1,
     )
     assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
-    assert hit_test(seen(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1).hit
+    assert hit_test(
+        readings_of_tip(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1
+    ).hit
 
 
 def crossing(moment):
@@ -107,7 +115,7 @@ def crossing(moment):
         [{"t": moment(t), "s": s, "x": 0.2 + s, "y": 0.0} for s in (0.0, 0.1)]
     )
     return hit_test(
-        seen(t, 0.301 + 4 * t, 0.5 + 0 * t, rows),
+        readings_of_tip(t, 0.301 + 4 * t, 0.5 + 0 * t, rows),
         BOX,
         (Box(0.25, 0.0, 0.02, 0.02),),
         0.1,
@@ -134,7 +142,7 @@ def flight(angle, speed):
     """Return readings of a tip that flies through the centre of the box at 0.05 s."""
     t = np.arange(0, 0.1, 0.005)
     way = speed * (t - 0.05)
-    return seen(t, 0.5 + way * np.cos(angle), 0.5 + way * np.sin(angle))
+    return readings_of_tip(t, 0.5 + way * np.cos(angle), 0.5 + way * np.sin(angle))
 
 
 @pytest.mark.parametrize("angle", [-3.0, -1.2, 0.0, 2.0, 3.1])
@@ -166,8 +174,10 @@ def test_of_two_passages_the_one_that_counts_is_reported():
     up = t < 0.1
     x = np.where(up, 0.5, 0.505)
     y = np.where(up, 0.5 + 4 * (t - 0.05), 0.5 - 4 * (t - 0.15))
-    any_way = hit_test(seen(t, x, y), BOX, (), 0.2)
-    downwards = hit_test(seen(t, x, y), replace(BOX, direction=-np.pi / 2), (), 0.2)
+    any_way = hit_test(readings_of_tip(t, x, y), BOX, (), 0.2)
+    downwards = hit_test(
+        readings_of_tip(t, x, y), replace(BOX, direction=-np.pi / 2), (), 0.2
+    )
     assert any_way.hit
     assert downwards.hit
     assert any_way.t == pytest.approx(0.05, abs=1e-3)

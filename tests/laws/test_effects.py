@@ -112,7 +112,9 @@ SAMPLES = 40
 CAMERA = Camera(640, 480, 300.0, (200.0, 300.0), 200.0)
 
 
-def drawn(parameter: Parameter, rng: np.random.Generator, size: int) -> np.ndarray:
+def draw_values(
+    parameter: Parameter, rng: np.random.Generator, size: int
+) -> np.ndarray:
     return parameter.value(rng.uniform(0, 1, size))
 
 
@@ -137,8 +139,8 @@ def arguments_of_string(effect, rng):
     }
     turn = rng.uniform(0, 2 * np.pi, SAMPLES)
     known |= {"tx": np.cos(turn), "ty": np.sin(turn), "length": np.full(SAMPLES, 0.3)}
-    own = {p.name: drawn(p, rng, SAMPLES) for p in effect.parameters}
-    known |= {name: drawn(p, rng, SAMPLES) for name, p in PAPER.items()} | own
+    own = {p.name: draw_values(p, rng, SAMPLES) for p in effect.parameters}
+    known |= {name: draw_values(p, rng, SAMPLES) for name, p in PAPER.items()} | own
     return known | effect.derive_parameters(**own)
 
 
@@ -156,7 +158,7 @@ def arguments_elsewhere(effect, rng):
     ]
     shape = (SAMPLES, *[1] * (dimensions - 1))
     return known | {
-        p.name: drawn(p, rng, SAMPLES).reshape(shape) for p in effect.parameters
+        p.name: draw_values(p, rng, SAMPLES).reshape(shape) for p in effect.parameters
     }
 
 
@@ -302,7 +304,7 @@ def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
 
 
 @pytest.fixture(scope="module")
-def swung(arm, camera):
+def swings(arm, camera):
     """Simulate a swing by the plain model and by one with every effect.
 
     Both have their base values.
@@ -315,8 +317,8 @@ def swung(arm, camera):
     return plain, plain.with_effects(*ADDED), moved, np.linspace(-0.05, 0.6, 66)
 
 
-def test_absent_is_present_with_zero(swung):
-    plain, full, motion, t = swung
+def test_absent_is_present_with_zero(swings):
+    plain, full, motion, t = swings
     expected = plain.simulate_observation(motion, plain.values(NAMED)[None], t).points
     found = full.simulate_observation(motion, full.values(NAMED)[None], t).points
     np.testing.assert_allclose(found, expected, atol=1e-12)
@@ -325,13 +327,13 @@ def test_absent_is_present_with_zero(swung):
 @pytest.mark.parametrize(
     "parameter", [e.qualified_name(p) for e in ADDED for p in e.parameters]
 )
-def test_every_parameter_moves_the_string_smoothly(swung, parameter):
+def test_every_parameter_moves_the_string_smoothly(swings, parameter):
     """Every parameter moves the string smoothly.
 
     Central differences in exponents agree with those of half the step. The step is a
     tenth of the range; differences are not zero.
     """
-    _, full, motion, t = swung
+    _, full, motion, t = swings
     place = full.names.index(parameter)
     known = full.parameters[place]
     acting = ACTING.get(parameter, {})
@@ -350,15 +352,15 @@ def test_every_parameter_moves_the_string_smoothly(swung, parameter):
     assert share < 0.02
 
 
-def test_strings_with_every_effect_at_once_stay_finite(swung):
+def test_strings_with_every_effect_at_once_stay_finite(swings):
     """Strings with every effect at once stay finite.
 
     Parameters are anywhere in all ranges, on a floor and a box below the hand. The
     step's bound covers every active force.
     """
-    _, full, motion, t = swung
+    _, full, motion, t = swings
     rng = np.random.default_rng(0)
-    values = np.array([drawn(p, rng, 32) for p in full.parameters]).T
+    values = np.array([draw_values(p, rng, 32) for p in full.parameters]).T
     values[:, :8] = full.values(NAMED)[:8]
     values[:, full.names.index("contact.height")] = rng.uniform(-0.5, -0.1, 32)
     values[:, full.names.index("contact.tilt")] = rng.uniform(-0.3, 0.3, 32)
@@ -367,12 +369,12 @@ def test_strings_with_every_effect_at_once_stay_finite(swung):
     assert full.simulate_observation(motion, values, t).finite.all()
 
 
-def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swung):
+def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swings):
     """The bound of the step does not depend on the origin.
 
     The origin may lie behind a plane that absorbs impacts, or inside a box.
     """
-    _, full, _, _ = swung
+    _, full, _, _ = swings
     behind = {"contact.height": 0.4, "box_contact.centre_x": 0.0}
     before = {"contact.height": -0.4}
     some = {
@@ -459,13 +461,13 @@ def test_arguments_of_laws_are_known():
             assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
-def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swung):
+def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swings):
     """Effects act in their physical order, whatever is named first.
 
     Gears play behind the motor. Where that turns 10 % too far, a joint is half its gap
     behind the end, not 0.55.
     """
-    plain, _, motion, _ = swung
+    plain, _, motion, _ = swings
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]
     ends = []
     for named in ((gain, play), (play, gain)):

@@ -21,7 +21,7 @@ WEIGHTLESS = tuple(effect for effect in PAPER_EFFECTS if effect is not Gravity)
 AIRLESS = {"linear_drag": 0.0, "quadratic_drag": 0.0}
 
 
-def moved(pose: np.ndarray, effects=PAPER_EFFECTS) -> np.ndarray:
+def simulate_hand(pose: np.ndarray, effects=PAPER_EFFECTS) -> np.ndarray:
     string = String(0.3, effects=effects)
     return simulate(
         string, resample_hand_motion(T, pose), string.values(NAMED)[None], T
@@ -30,13 +30,17 @@ def moved(pose: np.ndarray, effects=PAPER_EFFECTS) -> np.ndarray:
 
 def test_moving_the_whole_experiment_moves_the_string_with_it():
     np.testing.assert_allclose(
-        moved(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2], moved(POSE), atol=1e-9
+        simulate_hand(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2],
+        simulate_hand(POSE),
+        atol=1e-9,
     )
 
 
 def test_a_mirrored_motion_makes_a_mirrored_string():
     mirrored = POSE * [-1, 1, -1] + [0, 0, np.pi]
-    np.testing.assert_allclose(moved(mirrored) * [-1, 1], moved(POSE), atol=1e-9)
+    np.testing.assert_allclose(
+        simulate_hand(mirrored) * [-1, 1], simulate_hand(POSE), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("turn", [0.7, 2.5, -2.0])
@@ -44,9 +48,9 @@ def test_without_weight_no_direction_is_special(turn):
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s], [s, c]])
     turned = np.concatenate([POSE[:, :2] @ rotation.T, POSE[:, 2:] + turn], axis=1)
-    expected = moved(POSE, WEIGHTLESS) @ rotation.T
+    expected = simulate_hand(POSE, WEIGHTLESS) @ rotation.T
     # at rest a weightless string points where the grasp does, so both start alike
-    np.testing.assert_allclose(moved(turned, WEIGHTLESS), expected, atol=1e-8)
+    np.testing.assert_allclose(simulate_hand(turned, WEIGHTLESS), expected, atol=1e-8)
 
 
 def test_inner_forces_do_not_push_the_string_as_a_whole():

@@ -46,7 +46,7 @@ def run(finished, tmp_path):
     return shutil.copytree(finished / "day" / "a", tmp_path / "run")
 
 
-def asked(capsys, *command):
+def run_line(capsys, *command):
     """Return the exit status of a command, and its output on one line."""
     status = shell.run_command(command[0], [str(word) for word in command[1:]])
     said = capsys.readouterr()
@@ -193,7 +193,7 @@ def test_after_a_change_of_the_code_every_step_is_made_again(run, monkeypatch):
 
 
 def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
-    assert asked(capsys, "why", run) == (
+    assert run_line(capsys, "why", run) == (
         0,
         " ".join(
             f"iterations/{n}/{s}: fresh"
@@ -205,7 +205,7 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     config = json.loads((run / "config.json").read_text())
     config["estimate"]["beta"] = 0.9
     (run / "config.json").write_text(json.dumps(config))
-    status, said = asked(capsys, "why", run)
+    status, said = run_line(capsys, "why", run)
     assert status == 1
     assert "iterations/01/points: fresh" in said
     assert "iterations/01/estimate: stale estimate.beta 0.995 -> 0.9" in said
@@ -213,7 +213,7 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
         "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
     )
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
-    status, said = asked(capsys, "why", run / "iterations/01/estimate")
+    status, said = run_line(capsys, "why", run / "iterations/01/estimate")
     assert "input iterations/01/points has changed" in said
     assert "motion" not in said
     real = provenance.step_origin
@@ -224,17 +224,17 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
             real(*given) | {"packages": {**real(*given)["packages"], "numpy": "9.9"}}
         ),
     )
-    assert re.search(r"package numpy [\d.]+ -> 9\.9", asked(capsys, "why", run)[1])
+    assert re.search(r"package numpy [\d.]+ -> 9\.9", run_line(capsys, "why", run)[1])
 
 
 def test_diff_says_what_differs(finished, run, capsys):
-    same = asked(capsys, "diff", finished / "day/a", run)
+    same = run_line(capsys, "diff", finished / "day/a", run)
     assert same == (
         0,
         "settings: the same data: the same code: the same packages: the same results: the same "
         "The two runs are the same in everything that was compared. ",
     )
-    status, said = asked(capsys, "diff", finished / "day/a", finished / "day/b")
+    status, said = run_line(capsys, "diff", finished / "day/a", finished / "day/b")
     assert status == 1
     assert "settings: differ seed: 0 and 3" in said
     assert (
@@ -250,11 +250,11 @@ def test_diff_says_what_differs(finished, run, capsys):
         said,
     )
     (run / "points.parquet").unlink()
-    said = asked(capsys, "diff", finished / "day/a", run)[1]
+    said = run_line(capsys, "diff", finished / "day/a", run)[1]
     assert "Nothing that they were made of differs: check the machines." in said
     assert (
         "points.parquet: it is only in the first"
-        in asked(capsys, "diff", finished / "day/a", run)[1]
+        in run_line(capsys, "diff", finished / "day/a", run)[1]
     )
 
 
@@ -278,7 +278,9 @@ def test_tables_are_compared_by_columns_types_rows_and_bits(tmp_path, a, b, word
 
 
 def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, capsys):
-    status, said = asked(capsys, "lineage", run / "iterations/02/estimate/fit.parquet")
+    status, said = run_line(
+        capsys, "lineage", run / "iterations/02/estimate/fit.parquet"
+    )
     assert status == 0
     for words in (
         "made by estimate",
@@ -291,13 +293,13 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
     ):
         assert words in said
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
-    status, said = asked(capsys, "lineage", run / "report.html")
+    status, said = run_line(capsys, "lineage", run / "report.html")
     assert status == 1
     assert "iterations/01/points HAS CHANGED SINCE" in said
     shutil.rmtree(run / "iterations/01/motion")
     assert (
         "iterations/01/motion IS GONE"
-        in asked(capsys, "lineage", run / "iterations/01/trial/images/0.png")[1]
+        in run_line(capsys, "lineage", run / "iterations/01/trial/images/0.png")[1]
     )
 
 
@@ -342,7 +344,7 @@ def test_a_diagnosis_of_five_trials_counts_five_and_names_its_causes(tmp_path):
 
 def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     for to in ("runs.html", "runs.parquet", "runs.csv"):
-        status, said = asked(capsys, "index", many, "--to", tmp_path / to)
+        status, said = run_line(capsys, "index", many, "--to", tmp_path / to)
         assert status == 0
     assert "day/a" in said
     runs = pd.read_parquet(tmp_path / "runs.parquet").set_index("run")
@@ -395,11 +397,11 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
         ["lineage", tmp_path / "x"],
         ["index", tmp_path / "x"],
     ):
-        status, said = asked(capsys, *command)
+        status, said = run_line(capsys, *command)
         assert status == 2
         assert said.startswith("Error: ")
         assert str(tmp_path) in said.replace(" ", "")
-    status, said = asked(capsys, "index", tmp_path, "--to", "runs.xlsx")
+    status, said = run_line(capsys, "index", tmp_path, "--to", "runs.xlsx")
     assert (status, "must end in .html, .parquet or .csv" in said) == (2, True)
 
 
@@ -427,7 +429,7 @@ def test_the_examples_of_the_page_run_in_pandas(
 ):
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
-    asked(capsys, "index", "outputs", "--to", "runs.parquet")
+    run_line(capsys, "index", "outputs", "--to", "runs.parquet")
     assert blocks("python")
     for code in blocks("python"):
         known = {}
@@ -441,7 +443,7 @@ def test_the_examples_of_the_page_run_in_duckdb(
     duckdb = pytest.importorskip("duckdb")
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
-    asked(capsys, "index", "outputs", "--to", "runs.parquet")
+    run_line(capsys, "index", "outputs", "--to", "runs.parquet")
     assert blocks("sql")
     for query in blocks("sql"):
         assert len(duckdb.sql(query).df()), query

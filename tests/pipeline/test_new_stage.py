@@ -35,7 +35,7 @@ def lab(tmp_path_factory):
     return folder
 
 
-def said(lab, *words):
+def run_with_stage(lab, *words):
     """Return the exit status and output of a command with the stage."""
     around = os.environ | {PLUGINS_VARIABLE: str(lab)}
     call = [sys.executable, "-m", "stringcast", *map(str, words)]
@@ -49,7 +49,7 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(
     lab, called, tmp_path, monkeypatch
 ):
     run = tmp_path / "run"
-    status, words = said(lab, *ASKED, f"hydra.run.dir={run}")
+    status, words = run_with_stage(lab, *ASKED, f"hydra.run.dir={run}")
     assert status == 0, words
     (place,) = run.glob("iterations/*/sway")
     made = pd.read_parquet(place / "farthest.parquet")

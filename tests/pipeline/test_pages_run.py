@@ -227,7 +227,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
 }
 
 
-def shown():
+def shown_commands():
     """Return every command of every page as printed, without comments behind a #."""
     return {
         f"{found[1]} {found[2].partition(' #')[0].strip()}".strip()
@@ -237,8 +237,8 @@ def shown():
 
 def test_every_command_of_every_page_is_run_or_it_is_said_why_not():
     known = {*RUN, *ELSEWHERE}
-    assert shown() - known == set(), "shown by a page, and run nowhere"
-    assert known - shown() == set(), "shown by no page any more"
+    assert shown_commands() - known == set(), "shown by a page, and run nowhere"
+    assert known - shown_commands() == set(), "shown by no page any more"
     assert not {*RUN} & {*ELSEWHERE}
 
 
@@ -256,7 +256,7 @@ def place(tmp_path_factory):
     return tmp_path_factory.mktemp("pages")
 
 
-def asked(words, cwd=ROOT):
+def run_shown(words, cwd=ROOT):
     """Return the command's exit status and output, in one line."""
     around = os.environ | {"PYTHONPATH": str(cwd / ".package")}
     command = [sys.executable, "-m", *words]
@@ -282,7 +282,7 @@ def copied(folder):
     return folder
 
 
-def made(place, name):
+def make_input(place, name):
     """Make the input that a reader has before a page's command is given.
 
     It is a cast, a diagnosis, an alignment, measurements, pictures or a plugin.
@@ -301,7 +301,7 @@ def made(place, name):
         "aligned": ["+experiment=align"],
     }
     if name in words:
-        status, said = asked(["pipeline", *words[name], f"hydra.run.dir={folder}"])
+        status, said = run_shown(["pipeline", *words[name], f"hydra.run.dir={folder}"])
         assert status == 0, said
     elif name == "my_lab":
         for kind, of in (
@@ -347,7 +347,7 @@ def filled(command, run, place, out):
     needed = re.search(
         r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine|my_lab", command
     )
-    folder = made(place, run.of) if needed else place
+    folder = make_input(place, run.of) if needed else place
     words = [
         re.sub(
             r"outputs/\.\.\.[\w.-]*|<[^>]*>|outputs/gallery(?=/)|(?<==)mine$|my_lab",
@@ -394,8 +394,8 @@ def test_a_command_does_what_its_page_says(command, place, tmp_path):
         cwd = copied(tmp_path / "project")
     words = filled(command, run, place, out)
     if command.startswith("pipeline index"):
-        words.insert(2, str(made(place, "cast").parent))
-    status, said = asked(words, cwd)
+        words.insert(2, str(make_input(place, "cast").parent))
+    status, said = run_shown(words, cwd)
     assert status == 0, said[-3000:]
     assert "Traceback" not in said
     assert re.search(run.says, said), said[-3000:]

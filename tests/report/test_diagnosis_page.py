@@ -248,7 +248,7 @@ def diagnosed(verdict, names=(), sentence="So it is.", **tables):
     return Diagnosis(**own | tables)
 
 
-def entered():
+def entry_rows():
     rows = [(1, "tip_mass", 56716.0, "t00", 9000.0, 0.1, 0.1, 0.004, 0.001)]
     rows += [
         (1, "tip_mass", 56716.0, "t01", 48000.0, t, 0.29, off, 0.001)
@@ -268,7 +268,7 @@ def nothing_tried():
 
 VERDICTS = {
     "none": lambda: diagnosed("none", **nothing_tried()),
-    "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entered()),
+    "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entry_rows()),
     "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
     "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
     "partial": lambda: diagnosed(

@@ -251,7 +251,7 @@ def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
         sweep_page(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
 
 
-def reached():
+def jobs_by_target():
     """Return the table of three targets with two seeds each.
 
     One is hit in casts 1 and 3, one is hit by neither, and the jobs of one failed.
@@ -274,7 +274,8 @@ def reached():
 
 def test_the_map_of_the_workspace_says_what_became_of_each_target(undrawn):
     table = pd.concat(
-        [reached().assign(**{"target.y": y}) for y in (0.2, 0.5)], ignore_index=True
+        [jobs_by_target().assign(**{"target.y": y}) for y in (0.2, 0.5)],
+        ignore_index=True,
     )
     page = sweep_page(record(table, ("target.x", "target.y", "seed")))
     assert "Targets" in page

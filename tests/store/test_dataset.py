@@ -19,7 +19,7 @@ CAMERA = {
 }
 
 
-def given(folder, about, **tables):
+def write_tables(folder, about, **tables):
     folder.mkdir(exist_ok=True)
     (folder / "dataset.yaml").write_text(yaml.safe_dump({"format": 1} | about))
     for name, table in tables.items():
@@ -46,7 +46,7 @@ def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
         rows.append({"trial": "a", "frame": number, "t": T[number * 10], "file": file})
         if number != 1:
             cv2.imwrite(str(tmp_path / file), shade(number))
-    given(tmp_path, {"camera": CAMERA}, grasp=grasp(), frames=pd.DataFrame(rows))
+    write_tables(tmp_path, {"camera": CAMERA}, grasp=grasp(), frames=pd.DataFrame(rows))
     read = dataset.read_dataset(tmp_path)
     film = read.films["a"]
     np.testing.assert_allclose(film.t, [0.0, 0.2, 0.3])  # the lost frame is skipped
@@ -55,7 +55,7 @@ def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
 
 
 def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
-    given(tmp_path, {"camera": CAMERA}, grasp=grasp())
+    write_tables(tmp_path, {"camera": CAMERA}, grasp=grasp())
     (tmp_path / "videos").mkdir()
     file = str(tmp_path / "videos" / "a.avi")
     # the film is played four times slower
@@ -67,7 +67,7 @@ def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
     np.testing.assert_allclose(film.t, T)
     assert abs(int(film.images[30][5, 5]) - (40 + 120)) <= 3
     assert abs(int(film.images[7][5, 5]) - (40 + 28)) <= 3  # backwards too
-    given(tmp_path, {"camera": {k: v for k, v in CAMERA.items() if k != "fps"}})
+    write_tables(tmp_path, {"camera": {k: v for k, v in CAMERA.items() if k != "fps"}})
     with pytest.raises(DataError, match=r"camera\.fps must be there"):
         dataset.read_dataset(tmp_path)
 
@@ -77,7 +77,7 @@ def test_dirt_is_left_out_and_trials_that_cannot_be_used_are_named(tmp_path):
         [points(), points().iloc[:5], points("b", T + 10), points("c")]
     ).sample(frac=1, random_state=1)
     dirty.iloc[0, dirty.columns.get_loc("x")] = np.nan
-    given(
+    write_tables(
         tmp_path, {}, grasp=pd.concat([grasp(), grasp("b"), grasp("d")]), points=dirty
     )
     read = dataset.read_dataset(tmp_path)
@@ -98,7 +98,7 @@ def test_a_trial_begins_at_rest_unless_dataset_yaml_says_otherwise(tmp_path):
     }
 
     def moving(about):
-        given(tmp_path, about, **both)
+        write_tables(tmp_path, about, **both)
         return [
             trial.starts_moving
             for trial in dataset.read_dataset(tmp_path).trials.values()

@@ -38,7 +38,7 @@ def points():
 
 
 @pytest.fixture
-def given(tmp_path):
+def read_changed(tmp_path):
     """Write a dataset as CSV, its text changed, and read it."""
 
     def read(seen=None, moved=None, text=lambda text: text):
@@ -71,16 +71,16 @@ def spoilt(column, value, rows=(3, 7)):
     ],
 )
 def test_rows_that_cannot_be_used_are_left_out_and_counted(
-    given, column, value, reason
+    read_changed, column, value, reason
 ):
-    read = given(spoilt(column, value))
+    read = read_changed(spoilt(column, value))
     assert read.row_counts["points.csv"].dropped == {reason: 2}
     expected = points().drop(index=[3, 7]).drop(columns="trial").reset_index(drop=True)
     pd.testing.assert_frame_equal(read.trials["a"].points, expected)
 
 
-def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(given):
-    read = given()
+def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(read_changed):
+    read = read_changed()
     assert read.row_counts["points.csv"].dropped == {}
     assert read.row_counts["points.csv"].unordered == 0
     pd.testing.assert_frame_equal(
@@ -88,23 +88,25 @@ def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(given):
     )
 
 
-def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(given):
+def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(
+    read_changed,
+):
     again = points().iloc[[4]].assign(x=9.0)
-    read = given(pd.concat([points(), points().iloc[:2], again]))
+    read = read_changed(pd.concat([points(), points().iloc[:2], again]))
     assert read.row_counts["points.csv"].dropped == {
         "a row twice": 2,
         "another value at the same trial, t, s; the first is kept": 1,
     }
-    shuffled = given(points().sample(frac=1, random_state=2))
+    shuffled = read_changed(points().sample(frac=1, random_state=2))
     assert shuffled.row_counts["points.csv"].unordered > 20
     ordered = shuffled.trials["a"].points.sort_values(["t", "s"]).reset_index(drop=True)
     pd.testing.assert_frame_equal(ordered, points().drop(columns="trial"))
-    by_place = given(points().sort_values(["s", "t"]))
+    by_place = read_changed(points().sort_values(["s", "t"]))
     assert by_place.row_counts["points.csv"].unordered == 0
 
 
-def test_csv_says_the_same_as_parquet(given, tmp_path):
-    given()
+def test_csv_says_the_same_as_parquet(read_changed, tmp_path):
+    read_changed()
     (tmp_path / "parquet").mkdir()
     for table, frame in ((ARM, arm()), (POINTS, points())):
         write_table(
@@ -118,21 +120,21 @@ def test_csv_says_the_same_as_parquet(given, tmp_path):
     pd.testing.assert_frame_equal(one.arm, other.arm, check_exact=True)
 
 
-def test_names_of_digits_keep_their_zeros_and_meet_those_of_numbers(given):
-    read = given(points().assign(trial="007"), arm().assign(trial="007"))
+def test_names_of_digits_keep_their_zeros_and_meet_those_of_numbers(read_changed):
+    read = read_changed(points().assign(trial="007"), arm().assign(trial="007"))
     assert list(read.trials) == ["007"]
 
 
-def test_a_missing_valid_is_false(given):
+def test_a_missing_valid_is_false(read_changed):
     seen = points().assign(valid=True)
     seen["valid"] = seen["valid"].astype(object)
     seen.loc[[1, 2], "valid"] = None
-    assert (~given(seen).trials["a"].points["valid"]).sum() == 2
+    assert (~read_changed(seen).trials["a"].points["valid"]).sum() == 2
     with pytest.raises(
         DataError,
         match=r"points\.csv: column 'valid' must be bool .*give true or false",
     ):
-        given(points().assign(valid="yes"))
+        read_changed(points().assign(valid="yes"))
 
 
 @pytest.mark.parametrize(
@@ -162,13 +164,15 @@ def test_a_missing_valid_is_false(given):
         ),
     ],
 )
-def test_a_file_that_cannot_be_read_is_named_with_a_remedy(given, text, words):
+def test_a_file_that_cannot_be_read_is_named_with_a_remedy(read_changed, text, words):
     with pytest.raises(DataError, match=words):
-        given(text=text)
+        read_changed(text=text)
 
 
-def test_spaces_and_a_byte_order_mark_do_no_harm(given):
-    spaced = given(text=lambda text: b"\xef\xbb\xbf" + text.replace(",", ", ").encode())
+def test_spaces_and_a_byte_order_mark_do_no_harm(read_changed):
+    spaced = read_changed(
+        text=lambda text: b"\xef\xbb\xbf" + text.replace(",", ", ").encode()
+    )
     pd.testing.assert_frame_equal(
         spaced.trials["a"].points, points().drop(columns="trial")
     )

@@ -60,7 +60,7 @@ def stand_in(tmp_path):
     return (sys.executable, "-S", str(script))
 
 
-def entered(folder, *seeds):
+def ledger_of_seeds(folder, *seeds):
     """Return a ledger of a job for each seed, and their keys."""
     ledger = Ledger(folder)
     jobs = [
@@ -114,7 +114,7 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
     pytest.importorskip(package)
     if name == "ray":
         settings = settings | {"address": request.getfixturevalue("cluster")}
-    ledger, keys = entered(tmp_path / "sweep", 0, 1, 2, 3, 5)
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", 0, 1, 2, 3, 5)
     launch = getattr(launchers, name)
     ended_keys = list(
         launch(
@@ -147,11 +147,11 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
 
 
 def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, stand_in):
-    ledger, keys = entered(tmp_path / "sweep", 0, 1, 2)
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", 0, 1, 2)
     for key in keys[1:]:
         Attempt(ledger.folder, key, stand_in)(1)
     assert states(ledger) == {0: PENDING_STATE, 1: DONE_STATE, 2: FAILED_STATE}
-    entered(tmp_path / "sweep", 0, 1, 2)  # a repeated request keeps the states
+    ledger_of_seeds(tmp_path / "sweep", 0, 1, 2)  # a repeated request keeps the states
     assert ledger.reset_unfinished(keys, ()) == [keys[0]]
     for key in keys:
         Attempt(ledger.folder, key, stand_in)(1)
@@ -209,7 +209,7 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
 
     Otherwise a second attempt would write into the folder of the first.
     """
-    ledger, (key,) = entered(tmp_path / "sweep", 4)
+    ledger, (key,) = ledger_of_seeds(tmp_path / "sweep", 4)
     worker = begin(ledger, key, stand_in)
     os.kill(worker.pid, signal.SIGKILL)
     worker.join()
@@ -223,7 +223,7 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
 
 
 def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
-    ledger, (key,) = entered(tmp_path / "sweep", 0)
+    ledger, (key,) = ledger_of_seeds(tmp_path / "sweep", 0)
     with ledger.claim(key) as log:
         assert log is not None
         ledger.write(replace(ledger.read(key), state=RUNNING_STATE, attempts=1))
@@ -255,7 +255,7 @@ def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
 
 
 def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
-    ledger, keys = entered(tmp_path / "sweep", *range(5, 25))
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", *range(5, 25))
     context = get_context("fork")
     sides = [
         context.Process(target=every, args=(ledger.folder, order, stand_in))
@@ -294,7 +294,7 @@ def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_tab
 
     The first is at a job when the second comes, which ends before it.
     """
-    ledger, keys = entered(tmp_path / "sweep", 4, 5, 6)
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", 4, 5, 6)
     first, second = (
         get_context("fork").Process(
             target=whole_sweep, args=(ledger.folder, order, stand_in, tmp_path / name)
@@ -335,7 +335,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
     A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and
     always continues.
     """
-    ledger, keys = entered(tmp_path / "sweep", *range(5, 29))
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", *range(5, 29))
     kills = 0
     while kills < 25 and set(states(ledger).values()) != {DONE_STATE}:
         side = get_context("fork").Process(
@@ -358,7 +358,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
 
 
 def test_a_damaged_entry_is_named(tmp_path):
-    ledger, (key,) = entered(tmp_path, 0)
+    ledger, (key,) = ledger_of_seeds(tmp_path, 0)
     file = tmp_path / "ledger" / f"{key}.json"
     file.write_text(json.dumps({"number": 1}))
     with pytest.raises(DataError, match=f"{key}.json: not a job.*Delete it"):
@@ -391,4 +391,4 @@ def test_an_interrupted_job_has_not_failed():
 
 def test_a_folder_that_cannot_be_written_is_one_clear_error():
     with pytest.raises(DataError, match=r"/proc/.*hydra.sweep.dir"):
-        entered(Path("/proc/nope"), 0)
+        ledger_of_seeds(Path("/proc/nope"), 0)

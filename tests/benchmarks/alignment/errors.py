@@ -111,14 +111,14 @@ def laid(fps: float) -> Model:
 
 
 @cache
-def swung(seed: int) -> Motion:
+def draw_motion(seed: int) -> Motion:
     """Draw a motion."""
     block = yaml.safe_load((ROOT / "conf/excite/sines.yaml").read_text())
     given = {name: value for name, value in block.items() if name != "_target_"}
     return excite(laid(RATES[0]), (), seed=seed, **given)
 
 
-def drawn(seed: int) -> dict[str, float]:
+def draw_misalignment(seed: int) -> dict[str, float]:
     """Draw a misalignment."""
     rng = np.random.default_rng([seed, 7])
     sizes = {OFFSET: 0.02, "camera_rotation.angle": 0.03, "pixel_scale.excess": 0.02}
@@ -129,7 +129,7 @@ def drawn(seed: int) -> dict[str, float]:
 def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
     """Align by observed points."""
     correlation, readout = NOISES[noise]
-    bench, true = Stand(laid(fps), swung(seed), seed), drawn(seed)
+    bench, true = Stand(laid(fps), draw_motion(seed), seed), draw_misalignment(seed)
     seen = bench.observation(
         true | {"rolling_shutter.readout": readout}, fps, SIGMA, correlation
     )
@@ -151,7 +151,7 @@ def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
 
 def filmed(fps: float, seed: int) -> dict[str, object]:
     """Align by frames with a string in the hand."""
-    true = drawn(seed)
+    true = draw_misalignment(seed)
     hidden: dict[str, dict[str, float]] = {}
     for name in sorted(true):
         effect, _, parameter = name.partition(".")
@@ -165,7 +165,11 @@ def filmed(fps: float, seed: int) -> dict[str, object]:
         trial_number=1,
     )
     trial = execute(
-        swung(seed), VirtualArm(bench), VirtualCamera(bench), before=0.2, after=0.2
+        draw_motion(seed),
+        VirtualArm(bench),
+        VirtualCamera(bench),
+        before=0.2,
+        after=0.2,
     )
     nothing = Observation(
         "t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=trial.arm

@@ -49,7 +49,7 @@ def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
     assert np.abs(middle[["x", "y"]].to_numpy() - true[:, at]).max() < 5 * 0.0007
 
 
-def made(case, method, seed, *hits, chance=np.nan):
+def cast_rows(case, method, seed, *hits, chance=np.nan):
     return [
         {
             "case": case,
@@ -73,7 +73,7 @@ def made(case, method, seed, *hits, chance=np.nan):
 
 
 def test_runs_of_several_versions_of_the_code_are_named():
-    rows = [*made("A", "ours", 0, True), *made("A", "ours", 1, True)]
+    rows = [*cast_rows("A", "ours", 0, True), *cast_rows("A", "ours", 1, True)]
     for codes, several in ((("a", "a"), False), (("a", "b"), True)):
         tables = score_casts(
             pd.DataFrame(
@@ -91,12 +91,12 @@ def test_hits_are_counted_by_run():
     counts in every row.
     """
     rows = [
-        *made("A", "ours", 0, True, chance=0.8),
-        *made("B", "ours", 0, False, True, chance=0.8),
+        *cast_rows("A", "ours", 0, True, chance=0.8),
+        *cast_rows("B", "ours", 0, False, True, chance=0.8),
     ]
     rows += [
-        *made("A", "paper", 0, False, False, False),
-        *made("B", "paper", 0, False, True),
+        *cast_rows("A", "paper", 0, False, False, False),
+        *cast_rows("B", "paper", 0, False, True),
     ]
     tables = score_casts(pd.DataFrame(rows), 3)
     every = tables["rates"].set_index(["case", "method", "within"]).sort_index()
@@ -124,8 +124,8 @@ def test_hits_are_counted_by_run():
 
 def test_first_casts_are_counted_by_how_near_they_come():
     """Later casts do not count, and a run without a motion is a miss."""
-    near = made("A", "ours", 0, False, True)
-    far = made("A", "ours", 1, False)
+    near = cast_rows("A", "ours", 0, False, True)
+    far = cast_rows("A", "ours", 1, False)
     none = {"case": "A", "method": "ours", "seed": 2, "cast": 1, "hit": False}
     near[0]["distance"], near[1]["distance"], far[0]["distance"] = 0.04, 0.0, 0.08
     tables = score_casts(pd.DataFrame([*near, *far, none]), 2)
@@ -156,9 +156,9 @@ def test_right_and_false_names_and_surprises_are_counted():
     names = ("hidden", "hidden_shift", "p_value", "verdict", "causes")
     casts = []
     for number, values in enumerate(found):
-        (row,) = made("A", "adaptive", number, False, chance=0.95)
+        (row,) = cast_rows("A", "adaptive", number, False, chance=0.95)
         casts.append(row | dict(zip(names, values, strict=True)))
-    robust = made("A", "robust", 0, True)
+    robust = cast_rows("A", "robust", 0, True)
     findings = score_casts(pd.DataFrame(casts + robust), 2)["findings"]
     FINDINGS.check(findings)
     assert set(findings["method"]) == {"adaptive"}
@@ -241,9 +241,9 @@ def test_a_seed_draws_one_string_from_the_ranges_for_all_targets():
     assert np.std(exponents) == pytest.approx(0.29, abs=0.05)
 
 
-def test_a_hidden_effect_moves_the_tip_as_the_camera_sees_it(turned):
-    perform_training(turned, 1)
-    bench = turned.benches[1]
+def test_a_hidden_effect_moves_the_tip_as_the_camera_sees_it(rolled_camera):
+    perform_training(rolled_camera, 1)
+    bench = rolled_camera.benches[1]
     t = np.arange(0, 0.4, 0.01)
     true, seen = bench.string_at(t), bench.camera_view(bench.string_at, t)
     rolled = np.sqrt(np.mean(np.sum((seen - true)[:, -1] ** 2, axis=1)))
@@ -318,7 +318,7 @@ def test_ways_of_learning_differ_in_their_motions_alone():
 
 
 @pytest.fixture
-def turned():
+def rolled_camera():
     """Return an executor whose camera is rolled by more than the target's width."""
     config = OmegaConf.to_container(
         OmegaConf.create(compose_settings(["+experiment=quick"])), resolve=True
@@ -330,33 +330,39 @@ def turned():
     return PointExecutor(here, noise=1e-6)
 
 
-def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(turned):
-    taught = perform_training(turned, 1)[0]
+def test_what_really_became_of_a_cast_is_told_whatever_the_camera_says(rolled_camera):
+    taught = perform_training(rolled_camera, 1)[0]
     duration = float(taught.artifacts["trial"].arm["t"].iloc[-1]) - 0.2
-    seen = hit_test(taught.artifacts["points"], turned.experiment.target, (), duration)
-    real = turned.true_outcome(1, duration)
-    away = np.hypot(turned.experiment.target.x, turned.experiment.target.y)
+    seen = hit_test(
+        taught.artifacts["points"], rolled_camera.experiment.target, (), duration
+    )
+    real = rolled_camera.true_outcome(1, duration)
+    away = np.hypot(
+        rolled_camera.experiment.target.x, rolled_camera.experiment.target.y
+    )
     assert abs(seen.distance - real.distance) > 0.2 * 0.1 * away
-    bench = turned.benches[1]
+    bench = rolled_camera.benches[1]
     t = np.linspace(0, duration, 2000)
     true = np.hypot(
         *(
             bench.string_at(t)[:, -1]
-            - [turned.experiment.target.x, turned.experiment.target.y]
+            - [rolled_camera.experiment.target.x, rolled_camera.experiment.target.y]
         ).T
     ).min()
     assert real.distance == pytest.approx(true, abs=1e-4)
 
 
-def test_training_casts_are_first_casts_that_differ_and_are_the_same_again(turned):
-    one, two = perform_training(turned, 2)
+def test_training_casts_are_first_casts_that_differ_and_are_the_same_again(
+    rolled_camera,
+):
+    one, two = perform_training(rolled_camera, 2)
     assert not one.artifacts["trial"].arm.equals(two.artifacts["trial"].arm)
-    again = perform_training(PointExecutor(turned.experiment, noise=1e-6), 1)[0]
+    again = perform_training(PointExecutor(rolled_camera.experiment, noise=1e-6), 1)[0]
     pd.testing.assert_frame_equal(again.observation.points, one.observation.points)
 
 
 def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
-    turned, monkeypatch
+    rolled_camera, monkeypatch
 ):
     """The diagnosed model of the training casts replaces the method's model.
 
@@ -377,9 +383,9 @@ def test_a_diagnosis_of_the_training_casts_makes_the_model_that_casts(
         return Diagnosis(**tables | {"finding": finding})
 
     monkeypatch.setattr("stringcast.stages.diagnose.diagnose.diagnose", diagnose)
-    taught = perform_training(turned, 2)
+    taught = perform_training(rolled_camera, 2)
     config = {
-        **turned.experiment.config,
+        **rolled_camera.experiment.config,
         "diagnose": {"_target_": "stages.diagnose.diagnose.diagnose"},
     }
     assert (

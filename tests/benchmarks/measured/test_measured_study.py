@@ -34,7 +34,7 @@ from tests.benchmarks.study import run_study, study_settings
 MEASURED = Path(__file__).resolve().parents[4] / "shared" / "measured"
 
 
-def asked():
+def measured_settings():
     return build_dataclass(
         MeasuredSettings,
         study_settings("measured", ["measured.source=."])["measured"],
@@ -55,7 +55,7 @@ def test_every_string_is_read_with_all_its_trials(tmp_path):
         == 28
     )
     seen = {}
-    for family in asked().values():
+    for family in measured_settings().values():
         for name, trials in family.trials_by_string(MEASURED).items():
             family.write(MEASURED, name, trials, tmp_path / name, {})
             found = read_dataset(tmp_path / name)
@@ -80,7 +80,7 @@ def test_every_string_is_read_with_all_its_trials(tmp_path):
     }
 
 
-def put(folder):
+def write_cable(folder):
     """Write a cable as the study finds it: released, and shaken by the hand."""
     t = np.arange(0, 0.6, 1 / 30)
     tables = {"grasp": [], "points": []}
@@ -132,7 +132,7 @@ def config(tmp_path):
     """Return settings of a study of one string with rough, quick fits."""
     source = tmp_path / "source"
     source.mkdir()
-    put(source)
+    write_cable(source)
     place = "measured.families.cables.settings"
     less = [
         f"{place}.estimate.{name}=1" for name in ("starts", "screening", "iterations")
