@@ -79,6 +79,27 @@ def exit_with_error(message: str) -> NoReturn:
     sys.exit(f"Error: {with_program_name(escape_control_characters(message))}")
 
 
+def start(words: list[str]) -> None:
+    """Start the run, the command or the help that the command line asks for."""
+    if words == ["--version"]:
+        print(f"stringcast {version('stringcast')}")
+        return
+    if words and words[0] in COMMAND_NAMES:
+        sys.exit(run_command(words[0], words[1:]))
+    overrides = [word for word in words if "=" in word and not word.startswith("-")]
+    if any(word.lstrip("+").startswith(PLUGINS_WORD) for word in overrides):
+        named_plugins = import_module("stringcast.pipeline.settings.named_plugins")
+        named_plugins.name_plugins(overrides)
+    refuse_mistakes(words)
+    refuse_repeated_settings(overrides)
+    if "-h" in words or "--help" in words:
+        help_page = import_module("stringcast.pipeline.cli.help_page")
+        print(help_page.help_text(overrides))
+        return
+    main()
+    sys.exit(finish_sweep())
+
+
 def cli() -> None:
     """Start what the command line asks for, and explain errors in one message."""
     # OpenCV's warnings are replaced by a message of ours.
@@ -92,24 +113,8 @@ def cli() -> None:
         log.add_handler(logging.StreamHandler())
     words = join_quoted(sys.argv[1:])
     sys.argv[1:] = words
-    if words == ["--version"]:
-        print(f"stringcast {version('stringcast')}")
-        return
     try:
-        if words and words[0] in COMMAND_NAMES:
-            sys.exit(run_command(words[0], words[1:]))
-        overrides = [word for word in words if "=" in word and not word.startswith("-")]
-        if any(word.lstrip("+").startswith(PLUGINS_WORD) for word in overrides):
-            named_plugins = import_module("stringcast.pipeline.settings.named_plugins")
-            named_plugins.name_plugins(overrides)
-        refuse_mistakes(words)
-        refuse_repeated_settings(overrides)
-        if "-h" in words or "--help" in words:
-            help_page = import_module("stringcast.pipeline.cli.help_page")
-            print(help_page.help_text(overrides))
-            return
-        main()
-        sys.exit(finish_sweep())
+        start(words)
     except ExpectedError as error:
         exit_with_error(str(error))
     except KeyboardInterrupt as error:
