@@ -42,10 +42,7 @@ from stringcast.stages.check.overview import (
     dataset_overview,
     detection_limit_text,
 )
-from stringcast.stages.clock.windows import (
-    HARMLESS_OFFSET_S,
-    largest_possible_offset,
-)
+from stringcast.stages.clock.windows import HARMLESS_OFFSET_S, largest_possible_offset
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_count

@@ -20,11 +20,7 @@ from stringcast.measured import read
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.stored_runs import read_stored_settings
 from stringcast.pipeline.settings.composition import UserError
-from stringcast.stages.export.mjcf import (
-    PLAYER_TEXT,
-    build_mjcf,
-    choose_step,
-)
+from stringcast.stages.export.mjcf import PLAYER_TEXT, build_mjcf, choose_step
 from stringcast.stages.export.mujoco_motion import simulate_chain, tip_distances
 from stringcast.stages.export.samples import inference_data
 from stringcast.stages.export.trajectory import (

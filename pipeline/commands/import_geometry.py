@@ -15,10 +15,7 @@ import pandas as pd
 
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands.dataset_import import (
-    BenchHints,
-    imported_grasp_poses,
-)
+from stringcast.pipeline.commands.dataset_import import BenchHints, imported_grasp_poses
 from stringcast.pipeline.commands.import_corrections import (
     must_confirm,
     option_words,
@@ -32,9 +29,7 @@ from stringcast.stages.check.consistency.check import (
     describe_contradiction,
     describe_fit,
 )
-from stringcast.stages.check.consistency.corrections.directions import (
-    PointDirections,
-)
+from stringcast.stages.check.consistency.corrections.directions import PointDirections
 from stringcast.stages.check.consistency.judge import Verdict, judge
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.consistency.search import Proposal, find_answer

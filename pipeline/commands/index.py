@@ -17,11 +17,7 @@ from rich.text import Text
 from stringcast.data import store
 from stringcast.data.errors import escape_control_characters
 from stringcast.data.estimates import ESTIMATION_SUMMARY
-from stringcast.data.file_checks import (
-    MAX_TEXT_BYTES,
-    read_json,
-    require_plain_file,
-)
+from stringcast.data.file_checks import MAX_TEXT_BYTES, read_json, require_plain_file
 from stringcast.data.schema import DataError, Table, parse_columns
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser

@@ -27,10 +27,7 @@ from stringcast.pipeline.run.cost import ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Step
-from stringcast.pipeline.run.provenance import (
-    arm_is_virtual,
-    load_step_with_staleness,
-)
+from stringcast.pipeline.run.provenance import arm_is_virtual, load_step_with_staleness
 from stringcast.pipeline.run.result import RunResult, run_summary
 
 UNREPEATABLE_NOTE = "measured with a real arm and camera, cannot be computed again"

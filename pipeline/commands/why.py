@@ -15,10 +15,7 @@ from stringcast.data import store
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import CommandParser, print_block
-from stringcast.pipeline.commands.stored_runs import (
-    read_stored_settings,
-    run_folder_of,
-)
+from stringcast.pipeline.commands.stored_runs import read_stored_settings, run_folder_of
 from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
 from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons

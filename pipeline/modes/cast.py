@@ -14,12 +14,7 @@ from stringcast.data.estimates import Estimate
 from stringcast.data.explanations import Explanation, Surprise
 from stringcast.pipeline.modes.stepwise import Stepwise, refuse_trials
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
-from stringcast.pipeline.run.iterations import (
-    LOOK_NUMBER,
-    Executor,
-    History,
-    Iteration,
-)
+from stringcast.pipeline.run.iterations import LOOK_NUMBER, Executor, History, Iteration
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings

@@ -10,14 +10,7 @@ from stringcast.data.artifacts import CONTROL_POINTS
 from stringcast.data.estimates import Estimate
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
-from tests.faults.toy import (
-    STAGES,
-    Killed,
-    contents,
-    silent,
-    toy_experiment,
-    toy_run,
-)
+from tests.faults.toy import STAGES, Killed, contents, silent, toy_experiment, toy_run
 
 TRIAL = ["execute", "extract", "estimate"]
 PLANNED_WITH = []  # earlier motion and estimate of each plan

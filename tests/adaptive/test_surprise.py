@@ -6,14 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import (
-    JOINTS,
-    MASKS,
-    POINTS,
-    READINGS,
-    Motion,
-    Points,
-)
+from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, Motion, Points
 from stringcast.stages.generate.curves import plain_cast
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference.likelihood import BLOCK_S

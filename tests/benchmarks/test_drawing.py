@@ -23,11 +23,7 @@ from tests.benchmarks.simulators.drawing import (
 )
 from tests.benchmarks.simulators.own_kernel import hideable_effects, make_string
 from tests.benchmarks.simulators.rod import BASE_FIELDS
-from tests.benchmarks.simulators.scene import (
-    Fidelity,
-    remove_projection,
-    tip_rms,
-)
+from tests.benchmarks.simulators.scene import Fidelity, remove_projection, tip_rms
 
 NEW_EFFECT = '''
 """Everything is seen shifted to the right."""

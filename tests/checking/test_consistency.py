@@ -8,10 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from stringcast.pipeline.commands.import_corrections import option_words
-from stringcast.stages.check.consistency.arm_place import (
-    ArmElsewhere,
-    base_corrections,
-)
+from stringcast.stages.check.consistency.arm_place import ArmElsewhere, base_corrections
 from stringcast.stages.check.consistency.check import misfit_finding
 from stringcast.stages.check.consistency.corrections.directions import YDown
 from stringcast.stages.check.consistency.corrections.joints import (

@@ -13,16 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig import (
-    ARM,
-    DRIVING,
-    WATCHDOG,
-    driver,
-    emulator,
-    events,
-    movement,
-    standstill,
-)
+from rig import ARM, DRIVING, WATCHDOG, driver, emulator, events, movement, standstill
 
 from stringcast.data.artifacts import LINK, SENT_SPEEDS, TICKS
 from stringcast.hardware.arm import VelocityArm

@@ -20,10 +20,7 @@ from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
-from stringcast.stages.model.library import (
-    effects_by_name,
-    find_effects,
-)
+from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target

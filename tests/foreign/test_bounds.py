@@ -7,10 +7,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from stringcast.pipeline.run.experiment import prepare_experiment
-from stringcast.pipeline.settings.bounds import (
-    bounds_of,
-    refuse_numbers_out_of_bounds,
-)
+from stringcast.pipeline.settings.bounds import bounds_of, refuse_numbers_out_of_bounds
 from stringcast.pipeline.settings.composition import (
     CONF_FOLDER,
     UserError,

@@ -16,11 +16,7 @@ from rich.text import Text
 
 from stringcast.pipeline.cli.console import progress_bars
 from stringcast.pipeline.cli.terminal import Terminal, explain_hydra_error
-from stringcast.pipeline.run.log import (
-    LINE_FORMATTER,
-    log_to_folder,
-    log_warnings,
-)
+from stringcast.pipeline.run.log import LINE_FORMATTER, log_to_folder, log_warnings
 from stringcast.pipeline.sweep.launcher import job_line
 from stringcast.pipeline.sweep.ledger import Job
 

@@ -24,10 +24,7 @@ from stringcast.stages.generate.curves import (
     join_curves,
     plain_cast,
 )
-from stringcast.stages.generate.generate import (
-    MotionNotFoundError,
-    arm_faults,
-)
+from stringcast.stages.generate.generate import MotionNotFoundError, arm_faults
 from stringcast.stages.generate.hit_probability import (
     BATCH_SIZE,
     CastTask,

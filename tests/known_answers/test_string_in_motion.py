@@ -9,11 +9,7 @@ from stringcast.stages.model.engine.integrators import Integrator, RungeKutta4
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import HandMotion, resample_hand_motion
 from stringcast.stages.model.string import String
-from tests.known_answers.swinging import (
-    frequency,
-    mechanical_energy,
-    segment_angles,
-)
+from tests.known_answers.swinging import frequency, mechanical_energy, segment_angles
 
 QUIET = {
     "axial_stiffness": 9e5,

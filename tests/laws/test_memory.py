@@ -12,10 +12,7 @@ from stringcast.data.artifacts import JOINTS
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicitEuler
-from stringcast.stages.model.engine.law_slots import (
-    MEMORY_SLOTS,
-    select_arguments,
-)
+from stringcast.stages.model.engine.law_slots import MEMORY_SLOTS, select_arguments
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.stability import memory_stiffness_bounds
 from stringcast.stages.model.hand import HandMotion, resample_joint_motion

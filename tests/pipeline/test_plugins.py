@@ -23,11 +23,7 @@ from stringcast.pipeline.settings.named_plugins import (
 )
 from stringcast.pipeline.settings.typed_settings import bind_stage, build_chosen
 from stringcast.stages.model.library import UnknownEffectError, find_effects
-from stringcast.stages.plugins import (
-    PLUGINS_VARIABLE,
-    PluginError,
-    plugin_folders,
-)
+from stringcast.stages.plugins import PLUGINS_VARIABLE, PluginError, plugin_folders
 from tests.benchmarks.diagnosis.study import diagnosis_document
 from tests.diagnosis.slow_casts import write_slow_casts
 from tests.tether import TETHER

@@ -12,11 +12,7 @@ from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
 from stringcast.stages.check.consistency.judge import Verdict, reason_beside_geometry
 from stringcast.stages.check.consistency.limits import BrokenLimit, Limit
-from stringcast.stages.check.consistency.search import (
-    Answer,
-    Proposal,
-    find_answer,
-)
+from stringcast.stages.check.consistency.search import Answer, Proposal, find_answer
 from stringcast.stages.check.finding import Finding, error, warning
 from stringcast.stages.check.measured import CheckedDataset
 

@@ -13,9 +13,7 @@ from stringcast.stages.check.consistency.corrections.base import (
     Correction,
     apply_corrections,
 )
-from stringcast.stages.check.consistency.corrections.catalogue import (
-    single_corrections,
-)
+from stringcast.stages.check.consistency.corrections.catalogue import single_corrections
 from stringcast.stages.check.consistency.corrections.directions import (
     DIRECTIONS,
     PointDirections,
