@@ -34,7 +34,7 @@ OFFSET_COUNT = 81  # clock offsets that are tried
 
 
 class Limit(Enum):
-    """What no string and no arm exceeds."""
+    """A bound that no string and no arm exceeds."""
 
     LENGTH = auto()  # of a string
     SPEED = auto()  # of a hand
