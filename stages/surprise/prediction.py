@@ -18,10 +18,10 @@ from stringcast.stages.inference.likelihood import BLOCK_S
 from stringcast.stages.inference.mesh import REFERENCE_REFINEMENT, refine_mesh
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 
-# Of the tip, one sigma of a coordinate: errors of a film and of a mesh that last are
-# taken for parameters, which then err by more than their draws. Measured: see
+# Of the tip, one sigma of a coordinate: errors of a mesh that last are taken for
+# parameters, which then err by more than their draws. Measured: see
 # stages/explain/README.md
-SLOW_ERROR_M = 2e-3
+SLOW_ERROR_M = 1e-3
 
 
 def predict_tips(
@@ -73,6 +73,12 @@ def predict_tips(
     errors = tip_errors(misfit, curves, float(np.sqrt(variance)), normal)
     ticks = np.round(trial.times / model.arm.tick).astype(int)
     tips += errors[:, np.clip(ticks, 0, errors.shape[1] - 1)]
+
+    # the last misfit was measured, with noise
+    if misfit is not None:
+        likeness = misfit.correlation(curves, float(curves.duration.max()))[0]
+        sigma = noise * likeness[np.clip(ticks, 0, len(likeness) - 1)]
+        tips += sigma[:, None] * rng.standard_normal(tips.shape)
     return np.asarray(tips)
 
 
