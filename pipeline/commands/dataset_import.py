@@ -22,12 +22,13 @@ from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
 from stringcast.data.table_files import with_trial
 from stringcast.data.trial_faults import MIN_OVERLAP_S
-from stringcast.stages.check.at_rest import (
-    attach_arc_lengths,
-    estimate_arc_lengths,
-    grasp_poses,
-)
 from stringcast.stages.check.clocks import SAMPLING_REMEDY, describe_sampling
+from stringcast.stages.check.consistency.record import arm_poses
+from stringcast.stages.check.hanging_string import (
+    HangingString,
+    find_resting_points,
+    fit_hanging_string,
+)
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.windows import possible_windows
 from stringcast.stages.model.arm import Arm
@@ -36,8 +37,7 @@ from stringcast.stages.report.formatting import format_count
 # joints of an arm whose angles our format holds; other arms are stored as hand poses
 FORMAT_JOINTS = 3
 MIN_FRAMES = 5  # of a trial: fewer show no motion
-# relative spread over trials; a string bends more or less by how it is held
-MAX_LENGTH_SPREAD = 0.1
+MAX_HANGING_MISFIT = 0.05  # of the length: a heavy rod in a right hand is nearer
 EXAMPLE_LINKS_M = ("0.25", "0.20", "0.135")
 # stands for an arm where poses of the hand are given
 UNUSED_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
@@ -231,8 +231,8 @@ def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFr
             "turn in the plane, name those that do: --map q1=<column> "
             "--map q2=<column>."
         )
-    poses = grasp_poses(motion, np.array(bench.links), np.array(bench.base))
-    return pd.concat([times, poses], axis=1)
+    x, y, theta = arm_poses(motion[tables.joints].to_numpy(), bench.links, bench.base).T
+    return times.assign(x=x, y=y, theta=theta)
 
 
 def locate_points(
@@ -259,7 +259,9 @@ def locate_points(
         arc_lengths = {names[0]: length}
     else:
         arc_lengths, length = measure_hanging_points(points, grasp, bench, notes)
-    return select_columns(attach_arc_lengths(points, arc_lengths)), length
+    known = points[points["point"].isin(list(arc_lengths))]
+    known = known.assign(s=known["point"].map(arc_lengths).astype(float))
+    return select_columns(known), length
 
 
 def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
@@ -280,26 +282,28 @@ def measure_hanging_points(
 
     Returns the arc length of each point by its name, and the string's length [m].
     """
-    hanging = {} if bench.starts_moving else estimate_arc_lengths(points, grasp)
-    if not hanging:
+    resting = None
+    if not bench.starts_moving:
+        resting = find_resting_points(points, grasp)
+    if resting is None:
         require_length(bench)
         raise DataError(
             "it is unknown how far along the string each point is. "
             "Give it in metres: --at tip=0.30."
         )
-    arc_lengths = {name: float(np.median(s)) for name, s in hanging.items()}
-    largest_s = max(arc_lengths.values())
+    hanging = fit_hanging_string(resting, bench.length)
     length = bench.length
     if not length:
-        length = note_length(largest_s, describe_hanging_length(hanging), notes)
-    if len(arc_lengths) > 1:
-        arc_lengths = {name: s * length / largest_s for name, s in arc_lengths.items()}
-        places = [f"{name or 'point'} {s:.3f} m" for name, s in arc_lengths.items()]
+        length = note_length(hanging.length, describe_hanging_string(hanging), notes)
+    if len(hanging.arc_lengths) > 1:
+        places = []
+        for name, s in hanging.arc_lengths.items():
+            places.append(f"{name or 'point'} {s:.3f} m")
         notes.append(
             "the points are placed along the string as it hangs at rest: "
             f"{', '.join(places)}. Give their places with --at"
         )
-    return arc_lengths, length
+    return hanging.arc_lengths, length
 
 
 def require_length(bench: BenchHints) -> float:
@@ -312,19 +316,14 @@ def require_length(bench: BenchHints) -> float:
     return bench.length
 
 
-def describe_hanging_length(arc_lengths: Mapping[str, np.ndarray]) -> str:
-    """Say how far trials agree on the length of a hanging string.
-
-    `arc_lengths` holds those of each point in all trials [m].
-    """
-    lengths = max(arc_lengths.values(), key=np.median)
-    text = "it hangs at rest"
-    if len(lengths) < 2:
-        return text
-    low, high = lengths.min(), lengths.max()
-    text += f": {low:.3f} to {high:.3f} m in {len(lengths)} trials"
-    if high - low > MAX_LENGTH_SPREAD * np.median(lengths):
-        text += ", which is too far apart for one string: are --links and --base right?"
+def describe_hanging_string(hanging: HangingString) -> str:
+    """Say how well points agree with a string that hangs at rest."""
+    text = (
+        f"it hangs at rest, in {format_count(hanging.trials, 'trial')} "
+        f"{1e3 * hanging.misfit_m:.1f} mm from a heavy rod"
+    )
+    if hanging.misfit_m > MAX_HANGING_MISFIT * hanging.length:
+        text += ", which is too far: are --links and --base right?"
     return text
 
 

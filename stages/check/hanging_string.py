@@ -1,0 +1,225 @@
+"""A string hanging at rest: how far along it its points are.
+
+A limp string hangs straight below the hand. A stiff one leaves it in the hand's
+direction, and its points are farther along it than they are from the hand. So a heavy
+rod of unknown stiffness, grasp and set is fitted to where the points rest in all
+trials, and tells their arc lengths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+
+from stringcast.stages.check.consistency.record import REST_FRAMES
+from stringcast.stages.common import interpolate_rows, rms, step_lengths
+from stringcast.stages.model.effects.rest_curvature import RestCurvature
+from stringcast.stages.model.statics.equilibrium import hanging_shape
+from stringcast.stages.model.string import PAPER_EFFECTS, String
+
+MAX_TRIALS = 12
+PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand
+ROD_POINTS = 81
+INEXTENSIBLE = 1e7  # [N/(m kg)]
+# The rod's logarithms of bending stiffness at 0.3 m and ten mass points [N m/(rad kg)]
+# and of the grasp's over it, and its set from end to end [rad]: normal priors, bounds
+PRIOR_MEAN = np.array([0.0, 0.0, 0.0])
+PRIOR_DEVIATION = np.array([3.0, 3.0, 0.7])
+LOWEST = np.array([-7.0, -6.0, -3.0])
+HIGHEST = np.array([7.0, 6.0, 3.0])
+REFERENCE_LENGTH_M = 0.3
+START_LOG_STIFFNESS = (-3.0, 0.0, 2.0, 4.0)
+ARC_LENGTH_BOUNDS = (0.3, 3.0)  # in those of a limp string
+LENGTH_ERROR_M = 1e-4  # of a stated length
+
+
+@dataclass(frozen=True)
+class RestingPoints:
+    """Where the points of a string rest, in K trials.
+
+    Attributes
+    ----------
+    names
+        Of the J points, the nearest to the hand first.
+    hands
+        Poses of the hand (K, 3): x, y [m], theta [rad].
+    places
+        Of the points from the hand on (K, J, 2) [m]; NaN where one was not seen.
+    """
+
+    names: tuple[str, ...]
+    hands: np.ndarray
+    places: np.ndarray
+
+    @property
+    def chords(self) -> np.ndarray:
+        """Median distance of each point from the hand, by way of those before it, (J,).
+
+        Arc lengths of a limp string.
+        """
+        paths = []
+        for places in self.places:
+            seen = np.isfinite(places).all(axis=1)
+            path = np.full(len(places), np.nan)
+            path[seen] = step_lengths(np.vstack([np.zeros(2), places[seen]])).cumsum()
+            paths.append(path)
+        return np.asarray(np.nanmedian(paths, axis=0))
+
+
+@dataclass(frozen=True)
+class HangingString:
+    """Arc lengths of points by how they hang.
+
+    Attributes
+    ----------
+    arc_lengths
+        By point, from the hand on [m].
+    misfit_m
+        Root mean square distance of the points from the fitted rod [m].
+    trials
+        Number of trials in which they were seen.
+    """
+
+    arc_lengths: dict[str, float]
+    misfit_m: float
+    trials: int
+
+    @property
+    def length(self) -> float:
+        """Arc length of the last point [m]."""
+        return max(self.arc_lengths.values())
+
+
+def find_resting_points(
+    points: pd.DataFrame, grasp: pd.DataFrame
+) -> RestingPoints | None:
+    """Find where points rest before the first motion; None if none was seen then.
+
+    Parameters
+    ----------
+    points
+        Columns trial, t, point, x, y [m], and valid if there are bad ones.
+    grasp
+        Columns trial, x, y [m], theta [rad], in the order of time.
+    """
+    is_finite = np.isfinite(points[["x", "y"]]).all(axis=1)
+    known = points[is_finite & points.get("valid", True)]
+    by_time = known.sort_values("t", kind="stable")
+    first = by_time.groupby(["trial", "point"]).head(REST_FRAMES)
+    rest = first.groupby(["trial", "point"])[["x", "y"]].median()
+    hands = grasp.groupby("trial")[["x", "y", "theta"]].first()
+    trials = hands.index.intersection(rest.index.unique("trial"))[:MAX_TRIALS]
+    if not len(trials):
+        return None
+    by_point = rest.unstack("point").reindex(trials).dropna(axis=1, how="all")
+    names = by_point["x"].columns
+    places = np.stack([by_point["x"], by_point["y"]], axis=-1)
+    poses = hands.loc[trials].to_numpy()
+    places = places - poses[:, None, :2]
+    distances = np.nanmedian(np.linalg.norm(places, axis=-1), axis=0)
+    nearest_first = np.argsort(distances)
+    ordered = tuple(str(names[j]) for j in nearest_first)
+    return RestingPoints(ordered, poses, places[:, nearest_first])
+
+
+def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingString:
+    """Fit a heavy rod to where points rest, and read off their arc lengths.
+
+    Parameters
+    ----------
+    resting
+        Where the points rest.
+    length
+        Arc length of the last point [m]; None if it is unknown as well.
+    """
+    chords = resting.chords
+    rod = HeavyRod.in_hands(resting.hands, resting.places[:, -1], float(chords[-1]))
+
+    def residuals(unknowns: np.ndarray) -> np.ndarray:
+        stiffness_and_set, arc_lengths = np.split(unknowns, [3])
+        prior = (stiffness_and_set - PRIOR_MEAN) / PRIOR_DEVIATION
+        distances = rod.places(stiffness_and_set, arc_lengths) - resting.places
+        errors = np.nan_to_num(distances).ravel() / PLACE_ERROR_M
+        if length is None:
+            return np.concatenate([prior, errors])
+        length_error = (arc_lengths[-1] - length) / LENGTH_ERROR_M
+        return np.concatenate([prior, errors, [length_error]])
+
+    start_lengths = chords * (length or chords[-1]) / chords[-1]
+    low = np.concatenate([LOWEST, ARC_LENGTH_BOUNDS[0] * start_lengths])
+    high = np.concatenate([HIGHEST, ARC_LENGTH_BOUNDS[1] * start_lengths])
+    fits = []
+    for log_stiffness in START_LOG_STIFFNESS:
+        start = np.concatenate([[log_stiffness, 0.0, 0.0], start_lengths])
+        fits.append(least_squares(residuals, start, bounds=(low, high)))
+    best = min(fits, key=lambda fit: float(fit.cost)).x
+
+    distances = np.linalg.norm(rod.places(best[:3], best[3:]) - resting.places, axis=-1)
+    arc_lengths = best[3:] * (length or best[-1]) / best[-1]
+    by_point = dict(zip(resting.names, map(float, arc_lengths), strict=True))
+    misfit_m = rms(distances[np.isfinite(distances)])
+    return HangingString(by_point, misfit_m, len(resting.hands))
+
+
+@dataclass(frozen=True)
+class HeavyRod:
+    """A rod that hangs at rest from hands.
+
+    Attributes
+    ----------
+    string
+        Of any length: shapes scale with it.
+    hands
+        Poses (K, 3): x, y [m], theta [rad].
+    turns
+        About how far it turns from each hand to its end, (K,) [rad].
+    """
+
+    string: String
+    hands: np.ndarray
+    turns: np.ndarray
+
+    @classmethod
+    def in_hands(cls, hands: np.ndarray, ends: np.ndarray, length: float) -> HeavyRod:
+        """Hang a rod about as long so that it ends near given places (K, 2) [m]."""
+        string = String(
+            length,
+            points=ROD_POINTS,
+            tip_cell=0.5,
+            grasp_cell=0.5,
+            effects=(*PAPER_EFFECTS, RestCurvature),
+        )
+        directions = np.arctan2(ends[:, 1], ends[:, 0])
+        turns = np.angle(np.exp(1j * (directions - hands[:, 2])))
+        return cls(string, hands, np.nan_to_num(turns))
+
+    def places(
+        self, stiffness_and_set: np.ndarray, arc_lengths: np.ndarray
+    ) -> np.ndarray:
+        """Find where points rest from the hands on, (K, J, 2) [m].
+
+        stiffness_and_set: as of PRIOR_MEAN. arc_lengths: (J,) [m], of the end last.
+        """
+        log_bending, log_ratio, set_angle = stiffness_and_set
+        length = self.string.length
+        bending = np.exp(log_bending) * length / REFERENCE_LENGTH_M
+        values = {p.name: p.start for p in self.string.parameters}
+        values |= {
+            "axial_stiffness": INEXTENSIBLE,
+            "bending_stiffness": bending,
+            "grasp_stiffness": bending * np.exp(log_ratio),
+            "rest_curvature.curvature": set_angle / length,
+        }
+        row = np.array([list(values.values())])
+        material = np.repeat(self.string.material(row), len(self.hands), axis=0)
+        angles, lengths = hanging_shape(self.string, material, self.hands, self.turns)
+
+        steps = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * lengths[..., None]
+        nodes = np.insert(steps.cumsum(axis=1), 0, 0.0, axis=1)
+        scale = arc_lengths[-1] / length
+        node_arc_lengths = np.linspace(0.0, arc_lengths[-1], nodes.shape[1])
+        places = [interpolate_rows(arc_lengths, node_arc_lengths, n) for n in nodes]
+        return scale * np.stack(places)

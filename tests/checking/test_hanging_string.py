@@ -1,0 +1,120 @@
+"""Arc lengths of points by how a string hangs, against the heavy elastica.
+
+The elastica is solved as a boundary value problem, EI theta'' = lambda g (L - s)
+cos(theta), and shares nothing with the rod that is fitted.
+"""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import cumulative_trapezoid, solve_bvp
+
+from stringcast.stages.check.hanging_string import (
+    RestingPoints,
+    find_resting_points,
+    fit_hanging_string,
+)
+
+LENGTH_M = 0.32
+PLACES_M = np.array([0.1, 0.16, LENGTH_M])  # along the string
+NAMES = ("near", "mid", "tip")
+HAND_ANGLES = np.radians([-10.0, -25.0, 5.0, -40.0])
+GRAVITY_LENGTHS_M = [0.02, 0.06, 0.15]  # (EI / lambda g)^(1/3): limp to stiff
+
+
+def elastica(theta: float, gravity_length: float, curvature: float = 0.0):
+    """Return the place of points [m] of a rod clamped at an angle [rad]."""
+    s = np.linspace(0.0, LENGTH_M, 400)
+
+    def slope(s, y):
+        return np.vstack([y[1], (LENGTH_M - s) * np.cos(y[0]) / gravity_length**3])
+
+    def ends(start, end):
+        return np.array([start[0] - theta, end[1] - curvature])
+
+    down = -np.pi / 2 + (theta + np.pi / 2) * np.exp(-s / gravity_length)
+    guess = np.vstack([down, np.gradient(down, s)])
+    solution = solve_bvp(slope, ends, s, guess, tol=1e-8, max_nodes=100_000)
+    assert solution.success
+    angle = solution.sol(s)[0]
+    x = cumulative_trapezoid(np.cos(angle), s, initial=0.0)
+    y = cumulative_trapezoid(np.sin(angle), s, initial=0.0)
+    return np.column_stack([np.interp(PLACES_M, s, x), np.interp(PLACES_M, s, y)])
+
+
+def resting(gravity_length, curvature=0.0, noise_m=0.0):
+    """Return the resting points of the elastica in four hands."""
+    hands = np.column_stack([np.zeros(4), np.zeros(4), HAND_ANGLES])
+    places = [elastica(theta, gravity_length, curvature) for theta in HAND_ANGLES]
+    noise = noise_m * np.random.default_rng(0).standard_normal(np.shape(places))
+    return RestingPoints(NAMES, hands, places + noise)
+
+
+@pytest.mark.parametrize("length", [LENGTH_M, None])
+@pytest.mark.parametrize("gravity_length", GRAVITY_LENGTHS_M)
+def test_points_of_a_clamped_rod_are_found_along_it(gravity_length, length):
+    hanging = fit_hanging_string(resting(gravity_length), length)
+    assert [*hanging.arc_lengths] == [*NAMES]
+    found = np.array([*hanging.arc_lengths.values()])
+    np.testing.assert_allclose(found, PLACES_M, atol=5e-4 if length else 1e-3)
+    assert hanging.misfit_m < 5e-4
+
+
+def test_a_stiff_rod_is_longer_than_its_points_are_far():
+    """What a limp string would be: the fit is not of what distances say anyway."""
+    chords = resting(GRAVITY_LENGTHS_M[1]).chords
+    assert chords[1] < PLACES_M[1] - 0.004
+    assert chords[2] < PLACES_M[2] - 0.004
+
+
+def test_a_set_is_told_from_length():
+    found = fit_hanging_string(resting(0.06, curvature=4.0), None).arc_lengths
+    np.testing.assert_allclose([*found.values()], PLACES_M, atol=1.5e-3)
+
+
+def test_noise_moves_points_by_no_more_than_itself():
+    found = fit_hanging_string(resting(0.06, noise_m=5e-4), LENGTH_M).arc_lengths
+    np.testing.assert_allclose([*found.values()], PLACES_M, atol=1e-3)
+
+
+def test_a_limp_string_hangs_straight_wherever_the_hand_points():
+    hands = np.column_stack([np.zeros(4), np.zeros(4), HAND_ANGLES + 2.0])
+    straight = np.column_stack([np.zeros(3), -PLACES_M])
+    limp = RestingPoints(NAMES, hands, np.repeat(straight[None], 4, axis=0))
+    for length in (LENGTH_M, None):
+        found = fit_hanging_string(limp, length).arc_lengths
+        np.testing.assert_allclose([*found.values()], PLACES_M, atol=5e-4)
+
+
+def test_a_stated_length_is_kept_and_the_other_points_hang_where_they_do():
+    found = fit_hanging_string(resting(0.06), 0.33).arc_lengths
+    assert found["tip"] == pytest.approx(0.33, abs=1e-12)
+    assert found["mid"] == pytest.approx(0.16, abs=1e-3)
+
+
+def test_points_rest_where_they_were_at_first_seen_from_the_hand():
+    """The nearest comes first, and what was seen in no frame is not there."""
+    rows = []
+    for trial, hand_x in (("a", 0.1), ("b", 0.2), ("c", 0.0)):
+        for number in range(20):
+            moved = 0.3 if number > 10 else 0.0
+            rows.append((trial, number, "tip", hand_x + moved, -0.3))
+            mid_y = np.nan if trial == "b" else -0.1
+            rows.append((trial, number, "mid", hand_x + moved, mid_y))
+            rows.append((trial, number, "never", np.nan, np.nan))
+    points = pd.DataFrame(rows, columns=["trial", "t", "point", "x", "y"])
+    hands = pd.DataFrame({"trial": ["a", "b"], "x": [0.1, 0.2], "y": 0.0, "theta": 1.0})
+    found = find_resting_points(points, hands)
+    assert found.names == ("mid", "tip")
+    np.testing.assert_allclose(found.hands, [[0.1, 0, 1], [0.2, 0, 1]])
+    np.testing.assert_allclose(found.places[0], [[0, -0.1], [0, -0.3]], atol=1e-12)
+    assert np.isnan(found.places[1, 0]).all()
+    np.testing.assert_allclose(found.chords, [0.1, 0.3])
+
+
+def test_a_string_seen_in_no_known_hand_rests_nowhere():
+    points = pd.DataFrame(
+        {"trial": ["a"], "t": 0.0, "point": "tip", "x": 0.0, "y": 0.0}
+    )
+    hands = pd.DataFrame({"trial": ["b"], "x": [0.0], "y": [0.0], "theta": [0.0]})
+    assert find_resting_points(points, hands) is None
