@@ -27,6 +27,7 @@ from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
 )
 from stringcast.stages.inference.laplace import TIP_SHIFT_WIDTHS_M
+from stringcast.stages.inference.mark_places import mark_place_columns
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
@@ -62,11 +63,12 @@ def attach_discrepancy_model(
     values = parameter_values(hypothesis.parameters, chi[None])[0]
     no_shapes = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
     initial_modes = initial_mode_columns(trials, values) or no_shapes
+    mark_places = mark_place_columns(trials, hypothesis.model, values)
     error_shapes = error_shapes or no_shapes
 
     modelled = []
     for k, trial in enumerate(with_growth(trials, hypothesis, chi)):
-        nuisance = np.hstack([initial_modes[k], error_shapes[k]])
+        nuisance = np.hstack([initial_modes[k], mark_places[k], error_shapes[k]])
         discrepancy = Discrepancy.for_trial(trial, trial.growth, nuisance)
         centred = reset_initial_state_linear(trial, initial_modes[k])
         modelled.append(replace(centred, error_model=discrepancy))
