@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
@@ -19,7 +21,14 @@ from stringcast.stages.inference.search import (
     with_estimated_noise,
 )
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.parameter import parameter_exponents, parameter_values
+from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_values,
+)
+
+log = logging.getLogger(__name__)
 
 RANGE_END_FRACTION = 0.02  # of a range: nearer to its end, the data press against it
 RANGE_WIDENING_FACTOR = 30.0
@@ -89,22 +98,10 @@ def widen_range_if_supported(
     Only ranges of the string are widened. A parameter that the data do not determine
     may lie at an end as well: there a wider range gains nothing.
     """
-    model = likelihood.model
     parameter = likelihood.parameters[index]
-    ranges = dict(model.string.ranges)
-    at_end = not RANGE_END_FRACTION < chi[index] < 1 - RANGE_END_FRACTION
-    is_free = parameter.name in ranges and parameter.low > 0
-    if not at_end or not is_free or parameter.name in model.measured_ranges:
+    wider = _in_wider_range(likelihood.model, parameter, chi[index])
+    if wider is None:
         return likelihood, chi
-
-    low = parameter.low
-    high = parameter.high
-    if chi[index] < 0.5:
-        low = low / RANGE_WIDENING_FACTOR
-    else:
-        high = high * RANGE_WIDENING_FACTOR
-    ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
-    wider = replace(model, string=replace(model.string, ranges=ranges))
     values = parameter_values(likelihood.parameters, chi[None])
     start = parameter_exponents(wider.parameters, values)
     widened = with_estimated_noise(likelihood.with_model(wider), start[0])
@@ -118,6 +115,53 @@ def widen_range_if_supported(
     if gain > STRONG_LOG_EVIDENCE:
         return widened, after.chi[0]
     return likelihood, chi
+
+
+def _in_wider_range(
+    model: Model, parameter: Parameter, exponent: float
+) -> Model | None:
+    """Widen a string parameter's range if it lies at an end; None if it does not."""
+    ranges = dict(model.string.ranges)
+    at_end = not RANGE_END_FRACTION < exponent < 1 - RANGE_END_FRACTION
+    is_free = parameter.name in ranges and parameter.low > 0
+    if not at_end or not is_free or parameter.name in model.measured_ranges:
+        return None
+    low = parameter.low
+    high = parameter.high
+    if exponent < 0.5:
+        low = low / RANGE_WIDENING_FACTOR
+    else:
+        high = high * RANGE_WIDENING_FACTOR
+    ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
+    return replace(model, string=replace(model.string, ranges=ranges))
+
+
+def widen_ranges_with_causes(data: TrialData, fit: Fit) -> Model | None:
+    """Widen a range at whose end the causes leave a parameter, if that explains more.
+
+    Without them the base model may end elsewhere. A cause that is not there would make
+    up for the narrow range.
+
+    Returns
+    -------
+    Model or None
+        The base model in the wider range; None if the ranges are wide enough.
+    """
+    hypothesis = fit.hypothesis
+    # Its centre is given by exponents of the narrow range
+    data = replace(data, mesh_correction=None)
+    values = parameter_values(hypothesis.parameters, fit.chi[None])
+    for parameter, exponent in zip(hypothesis.parameters, fit.chi, strict=True):
+        wider = _in_wider_range(hypothesis.base, parameter, exponent)
+        if wider is None:
+            continue
+        widened = Hypothesis(wider, hypothesis.causes)
+        start = parameter_exponents(widened.parameters, values)
+        refitted = fit_hypothesis(data, widened, start, fit.scale_indices)
+        if refitted.log_evidence > fit.log_evidence + STRONG_LOG_EVIDENCE:
+            log.info("the range of %s is too narrow", parameter.name)
+            return wider
+    return None
 
 
 def search_other_strings(

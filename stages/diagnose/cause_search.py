@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stringcast.data.artifacts import Observation
+from stringcast.stages.diagnose.base_model import widen_ranges_with_causes
 from stringcast.stages.diagnose.discretisation import STEP_S, unresolvable_trials
 from stringcast.stages.diagnose.forward_selection import select_causes
 from stringcast.stages.diagnose.outlying_trials import (
@@ -62,7 +63,8 @@ def search_until_trials_settle(
     causes resolve it. If the fit to all trials does not resolve it, it is left out for
     good. The search goes on from the causes. So it does with a trial that was outlying
     and that they predict: a search with this trial has found others. If trials are
-    chaotic in long steps, the search begins again in short ones.
+    chaotic in long steps, the search begins again in short ones. So it does in a wider
+    range if the causes leave a parameter of the string at the end of its own.
     """
     criteria = settings.criteria
     returned = list[str]()
@@ -71,6 +73,7 @@ def search_until_trials_settle(
         yield reached
         together = None
         chaotic = list[str]()
+        better = settings
         states = select_causes(
             reached.state, reached.effects, criteria, settings.seed, settings.starts
         )
@@ -88,20 +91,18 @@ def search_until_trials_settle(
                     log.info("chaotic again: %s", ", ".join(resolved))
                     trials = trials.excluding_chaotic(resolved)
             chaotic = _trials_chaotic_with_causes(state, criteria)
-            if together or chaotic:
+            better = _settings_with_causes(state, settings, chaotic)
+            if together or chaotic or better is not settings:
                 break
             yield reached
 
         state = reached.state
+        if better is not settings:
+            settings = better
+            reached = _begin_search(trials, settings, returned, None)
+            continue
         if together is not None:
             reached = together
-            continue
-        may_shorten = settings.longest_step_s > STEP_S and _steps_are_long(state)
-        if chaotic and may_shorten:
-            # They may have led the causes astray as well
-            log.info("chaotic in long steps: %s", ", ".join(chaotic))
-            settings = replace(settings, longest_step_s=STEP_S)
-            reached = _begin_search(trials, settings, returned, None)
             continue
         if chaotic:
             log.info("chaotic with the causes: %s", ", ".join(chaotic))
@@ -187,6 +188,25 @@ def _trials_for_another_search(
         return trials
     log.info("predicted after all, and used again: %s", ", ".join(predicted))
     return trials.including_predicted(predicted)
+
+
+def _settings_with_causes(
+    state: SelectionState, settings: DiagnosisSettings, chaotic: Sequence[str]
+) -> DiagnosisSettings:
+    """Shorten steps in which trials are chaotic, or widen a range that is too narrow.
+
+    Either may have led the causes astray. Returns the same settings if neither is so.
+    """
+    if chaotic and settings.longest_step_s > STEP_S and _steps_are_long(state):
+        log.info("chaotic in long steps: %s", ", ".join(chaotic))
+        return replace(settings, longest_step_s=STEP_S)
+    if not state.fit.hypothesis.causes:
+        return settings
+    wider = widen_ranges_with_causes(state.prepared.data, state.fit)
+    if wider is None:
+        return settings
+    string = replace(settings.model.string, ranges=wider.string.ranges)
+    return replace(settings, model=replace(settings.model, string=string))
 
 
 def _steps_are_long(state: SelectionState) -> bool:

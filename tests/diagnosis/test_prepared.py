@@ -12,6 +12,7 @@ from stringcast.stages.diagnose.base_model import (
     MAX_SEARCH_ITERATIONS,
     sample_trials,
     widen_range_if_supported,
+    widen_ranges_with_causes,
 )
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import (
@@ -27,7 +28,7 @@ from stringcast.stages.diagnose.noise import (
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import evaluate_fit
+from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.search import (
@@ -284,6 +285,30 @@ def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
     changed = {name for name, p in widened.items() if p != ranges.get(name)}
     assert changed == {"bending_stiffness"}
     assert wider.parameters[bending].value(chi[bending]) > 2.0
+
+
+def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more(
+    model, prepared
+):
+    """The bending stiffness would be higher; that of the drag is where it should be."""
+    string = model.string
+    parameters = {p.name: p for p in string.parameters}
+    stiffness = parameters["bending_stiffness"]
+    for high, expected in ((2.0, 60.0), (stiffness.high, None)):
+        ranges = {**string.ranges, stiffness.name: replace(stiffness, high=high)}
+        limited = replace(model, string=replace(string, ranges=ranges))
+        base = Hypothesis(limited)
+        chi = true_exponents(base, TRUTH)
+        bending = limited.names.index("bending_stiffness")
+        chi[bending] = min(chi[bending], 1.0)
+        fit = fit_hypothesis(
+            prepared.data, base, chi[None], prepared.base_fit.scale_indices
+        )
+        wider = widen_ranges_with_causes(prepared.data, fit)
+        if expected is None:
+            assert wider is None
+        else:
+            assert wider.string.ranges["bending_stiffness"].high == expected
 
 
 def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
