@@ -278,8 +278,52 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     assert used.left_out == ({} if is_predicted else {"t2": "of another motion"})
 
 
-def settle(monkeypatch, prepare, select, steps_are_long=False):
+def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
+    arm, monkeypatch
+):
+    """The search in the narrow range may have led to other causes."""
+    model = ordinary(arm)
+    grasp = {p.name: p for p in model.string.parameters}["grasp_stiffness"]
+    wide = {**model.string.ranges, grasp.name: replace(grasp, high=30 * grasp.high)}
+    wider = replace(model, string=replace(model.string, ranges=wide))
+
+    def prepare(given, observations, *others):
+        searched.append(given)
+        hypothesis = SimpleNamespace(model=None, causes=())
+        return SimpleNamespace(
+            chaotic_trials=(),
+            data=SimpleNamespace(trials=()),
+            trials=[],
+            discretisation_uncertainty_m=np.zeros(0),
+            base_fit=SimpleNamespace(hypothesis=hypothesis),
+        )
+
+    def select(state, *given):
+        begun_with.append(state.fit.hypothesis.causes)
+        hypothesis = SimpleNamespace(causes=("tip_mass",))
+        yield SelectionState(state.prepared, SimpleNamespace(hypothesis=hypothesis))
+
+    def widen(data, fit):
+        return wider if len(searched) == 1 else None
+
+    searched, begun_with = [], []
+    monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
+    _, _, causes = settle(monkeypatch, prepare, select, model=model, widen=widen)
+    assert [each.string.ranges for each in searched] == [model.string.ranges, wide]
+    assert begun_with == [(), ()]
+    assert causes == ("tip_mass",)
+
+
+def settle(
+    monkeypatch,
+    prepare,
+    select,
+    steps_are_long=False,
+    model=None,
+    widen=lambda data, fit: None,
+):
     """Search three trials until it is settled which of them are used."""
+    monkeypatch.setattr(cause_search, "widen_ranges_with_causes", widen)
     monkeypatch.setattr(cause_search, "_steps_are_long", lambda state: steps_are_long)
     monkeypatch.setattr(cause_search, "prepare_data", prepare)
     monkeypatch.setattr(cause_search, "candidate_effects", lambda *given: [])
@@ -287,7 +331,7 @@ def settle(monkeypatch, prepare, select, steps_are_long=False):
     observations = [SimpleNamespace(trial=f"t{k}") for k in range(3)]
     trials = TrialsByUse(observations, (), {})
     settings = DiagnosisSettings(
-        model=None,
+        model=model,
         obstacles=(),
         seed=0,
         starts=4,
