@@ -222,4 +222,4 @@ class HeavyRod:
         scale = arc_lengths[-1] / length
         node_arc_lengths = np.linspace(0.0, arc_lengths[-1], nodes.shape[1])
         places = [interpolate_rows(arc_lengths, node_arc_lengths, n) for n in nodes]
-        return scale * np.stack(places)
+        return np.asarray(scale * np.stack(places))
