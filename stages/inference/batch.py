@@ -62,19 +62,24 @@ def measured_points(
     What was simulated a moment ago is looked up: a fit ends where the next begins, and
     other noise or other measured points change nothing of it.
     """
-    kept = _KEPT_POINTS.find(model, trials, values)
-    missing = [c for c, points in enumerate(kept) if points is None]
-    new: list[list[np.ndarray]] = []  # of each missing candidate, of each trial
-    if missing:
-        simulated = _simulate_points(model, trials, values[missing])
-        new = [[points[c].copy() for points in simulated] for c in range(len(missing))]
-        _KEPT_POINTS.store(model, trials, values[missing], new)
+    points_by_trial = [_KEPT_POINTS.find(model, trial, values) for trial in trials]
 
-    simulated_now = iter(new)
-    candidates = []
-    for points in kept:
-        candidates.append(next(simulated_now) if points is None else points)
-    return [np.stack(rows) for rows in zip(*candidates, strict=True)]
+    # Trials in which the same candidates are missing are simulated together
+    trials_by_missing = defaultdict[tuple[int, ...], list[int]](list)
+    for k, points in enumerate(points_by_trial):
+        missing = tuple(c for c in range(len(values)) if c not in points)
+        trials_by_missing[missing].append(k)
+    trials_by_missing.pop((), None)
+    for missing, numbers in trials_by_missing.items():
+        new_values = values[list(missing)]
+        simulated = _simulate_points(model, [trials[k] for k in numbers], new_values)
+        for k, rows in zip(numbers, simulated, strict=True):
+            new = [row.copy() for row in rows]
+            _KEPT_POINTS.store(model, trials[k], new_values, new)
+            points_by_trial[k] |= zip(missing, new, strict=True)
+
+    candidates = range(len(values))
+    return [np.stack([points[c] for c in candidates]) for points in points_by_trial]
 
 
 def _simulate_points(

@@ -17,51 +17,53 @@ from stringcast.stages.model.model import Model
 
 MAX_KEPT_NUMBERS = 10_000_000  # 80 MB
 
-PointsByTrial = Sequence[np.ndarray]
-Key = tuple[str, tuple[type[Effect], ...], tuple[str, ...], bytes]
+Key = tuple[str, tuple[type[Effect], ...], str, bytes]
 
 
 class KeptPoints:
-    """Keep the simulated points of the last candidates in each trial."""
+    """Keep the simulated points of the last candidates of each trial."""
 
     def __init__(self) -> None:
-        self._points: dict[Key, PointsByTrial] = {}
+        self._points: dict[Key, np.ndarray] = {}
         self._numbers = 0
 
     def find(
         self,
         model: Model,
-        trials: Sequence[PreparedTrial],
+        trial: PreparedTrial,
         values: np.ndarray,
-    ) -> list[PointsByTrial | None]:
-        """Look up the points (n, 2) [m] in each trial of candidates (C, P)."""
-        return [self._points.get(key) for key in _keys(model, trials, values)]
+    ) -> dict[int, np.ndarray]:
+        """Look up the points (n, 2) [m] of candidates (C, P), by their number."""
+        found = {}
+        for number, key in enumerate(_keys(model, trial, values)):
+            if key in self._points:
+                found[number] = self._points[key]
+        return found
 
     def store(
         self,
         model: Model,
-        trials: Sequence[PreparedTrial],
+        trial: PreparedTrial,
         values: np.ndarray,
-        candidates: Sequence[PointsByTrial],
+        candidates: Sequence[np.ndarray],
     ) -> None:
-        """Keep the points (n, 2) [m] in each trial of candidates (C, P)."""
-        keys = _keys(model, trials, values)
+        """Keep the points (n, 2) [m] of candidates (C, P)."""
+        keys = _keys(model, trial, values)
         for key, points in zip(keys, candidates, strict=True):
             if key not in self._points:
-                self._numbers += sum(each.size for each in points)
+                self._numbers += points.size
                 self._points[key] = points
         while self._numbers > MAX_KEPT_NUMBERS:
             oldest = self._points.pop(next(iter(self._points)))
-            self._numbers -= sum(each.size for each in oldest)
+            self._numbers -= oldest.size
 
 
 def _keys(
     model: Model,
-    trials: Sequence[PreparedTrial],
+    trial: PreparedTrial,
     values: np.ndarray,
 ) -> list[Key]:
     # A digest knows effects by name, and a notebook may define one again
     effects = model.effects
     digest = content_digest(model)
-    by_trial = tuple(trial.simulation_digest for trial in trials)
-    return [(digest, effects, by_trial, row.tobytes()) for row in values]
+    return [(digest, effects, trial.simulation_digest, row.tobytes()) for row in values]

@@ -104,3 +104,22 @@ def test_as_many_points_are_kept_as_fit_in_memory(model, trial, simulated, monke
     assert len(simulated) == 1
     batch.measured_points(model, [trial], CANDIDATES[:1])
     assert len(simulated) == 2
+
+
+def test_only_the_trial_that_changed_is_simulated(model, trial, simulated, monkeypatch):
+    """The initial state of one of two trials is refined."""
+    fake = batch._simulate_points
+    turns = []
+
+    def simulate(model, trials, values):
+        turns.append([trial.turn for trial in trials])
+        return fake(model, trials, values)
+
+    monkeypatch.setattr(batch, "_simulate_points", simulate)
+    other = replace(trial, turn=0.5)
+    first, _ = batch.measured_points(model, [trial, other], CANDIDATES)
+    changed = replace(other, turn=1.0)
+    again, _ = batch.measured_points(model, [trial, changed], CANDIDATES)
+    batch.measured_points(model, [changed, other, trial], CANDIDATES)
+    assert turns == [[0.0, 0.5], [1.0]]
+    assert again.tolist() == first.tolist()
