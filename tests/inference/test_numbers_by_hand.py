@@ -275,6 +275,13 @@ def test_iterations_are_shared_by_the_horizons_before_the_last(
         "_fit_until_horizon",
         lambda early, chi, iterations: calls.append((*early, iterations)) or chi[:1],
     )
+    monkeypatch.setattr(
+        search,
+        "_fit_whole_trials",
+        lambda mesh, chi, iterations: (
+            calls.append((mesh.name, np.inf, iterations)) or chi[0]
+        ),
+    )
     progress = []
     starts = np.array([[0.1, 0.2], [0.3, 0.4]])
     found = search.search_parameters(None, starts, most, progress.append)
@@ -294,10 +301,49 @@ def test_known_parameters_are_fitted_to_the_whole_trials_alone(monkeypatch):
         "_fit_until_horizon",
         lambda early, chi, iterations: fitted.append(chi.tolist()) or chi[-1:],
     )
+    monkeypatch.setattr(
+        search,
+        "_fit_whole_trials",
+        lambda mesh, chi, iterations: fitted.append(chi.tolist()) or chi[-1],
+    )
     starts, known = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([0.5, 0.6])
     found = search.search_parameters(None, starts, 5, known=known)
     assert fitted == [[[0.1, 0.2], [0.3, 0.4]], [[0.3, 0.4], [0.5, 0.6]]]
     assert list(found) == [0.5, 0.6]
+
+
+class TwoSlopes:
+    """A slope that falls from 3 to 2.99, and beyond it one that falls to 0."""
+
+    parameters = (Parameter("a", "1", "", 0.0, 1.0, 0.0),)
+    limit = np.inf
+    candidates_at_once = 1
+
+    def __init__(self):
+        self.evaluated = []
+
+    def residuals(self, chi):
+        self.evaluated.append(chi[:, 0].tolist())
+        gentle = 2.99 + 0.02 * chi
+        steep = 20 * (chi - 0.9)
+        residuals = np.where(chi < 0.5, gentle, steep) * np.ones(400)
+        residuals[:, 0] = 0.1  # that nothing explains
+        return residuals
+
+
+def test_a_start_far_behind_another_in_whole_trials_is_given_up(monkeypatch):
+    """The best is further from its end at first, and promises to come to it."""
+    monkeypatch.setattr(
+        search, "with_estimated_noise", lambda likelihood, chi: likelihood
+    )
+    slopes = TwoSlopes()
+    found = search._fit_whole_trials(slopes, np.array([[0.4], [0.6]]), 20)
+    assert found == pytest.approx([0.9])
+
+    evaluated = np.concatenate(slopes.evaluated)
+    assert evaluated.min() == 0.0  # the end of the gentle slope ...
+    is_difference = (evaluated > 0) & (evaluated < 2e-3)
+    assert not is_difference.any()  # ... where nothing is differenced any more
 
 
 def test_candidates_are_screened_on_the_coarsest_mesh_at_the_first_horizon(monkeypatch):
