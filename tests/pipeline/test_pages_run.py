@@ -203,7 +203,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study adaptive casting.first=880 casting.seeds=1 ~casting.methods.robust ~casting.methods.informed": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study worlds casting.first=800 casting.seeds=1 ~casting.methods.robust ~casting.cases.C ~casting.cases.D": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study worlds casting.first=830 casting.seeds=1 ~casting.methods.adaptive ~casting.cases.C ~casting.cases.D look=null casting.casts=3": "as with seed 800",
-    "tasks.py study forecast casting.first=951 casting.seeds=13": "takes half an hour; as adaptive",
+    "tasks.py study forecast casting.first=1300 casting.seeds=33": "takes an hour; as adaptive",
     "tasks.py study practice casting.first=802 casting.seeds=2 casting.training.casts=8": "takes ten minutes; as adaptive",
     "tasks.py study learning casting.seeds=3": "takes hours; as casting",
     "tasks.py study clocks": "takes half an hour; its summary: "
