@@ -21,7 +21,7 @@ from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 MAX_TRIALS = 12
-PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand
+PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand: nearer, it is at the grasp
 ROD_POINTS = 81
 INEXTENSIBLE = 1e7  # [N/(m kg)]
 # The rod's logarithms of bending stiffness at 0.3 m and ten mass points [N m/(rad kg)]
@@ -96,7 +96,7 @@ class HangingString:
 def find_resting_points(
     points: pd.DataFrame, grasp: pd.DataFrame
 ) -> RestingPoints | None:
-    """Find where points rest before the first motion; None if none was seen then.
+    """Find where points rest before the first motion.
 
     Parameters
     ----------
@@ -104,13 +104,22 @@ def find_resting_points(
         Columns trial, t, point, x, y [m], and valid if there are bad ones.
     grasp
         Columns trial, x, y [m], theta [rad], in the order of time.
+
+    Returns
+    -------
+    RestingPoints or None
+        None if no point away from the grasp was seen in a known hand.
     """
-    is_finite = np.isfinite(points[["x", "y"]]).all(axis=1)
-    known = points[is_finite & points.get("valid", True)]
+    is_known = np.isfinite(points[["x", "y"]]).all(axis=1)
+    if "valid" in points:
+        # Some trackers do not say it
+        is_known &= points["valid"].fillna(True).astype(bool)
+    known = points[is_known]
     by_time = known.sort_values("t", kind="stable")
     first = by_time.groupby(["trial", "point"]).head(REST_FRAMES)
     rest = first.groupby(["trial", "point"])[["x", "y"]].median()
-    hands = grasp.groupby("trial")[["x", "y", "theta"]].first()
+    known_poses = grasp.dropna(subset=["x", "y", "theta"])
+    hands = known_poses.groupby("trial")[["x", "y", "theta"]].first()
     trials = hands.index.intersection(rest.index.unique("trial"))[:MAX_TRIALS]
     if not len(trials):
         return None
@@ -120,6 +129,8 @@ def find_resting_points(
     poses = hands.loc[trials].to_numpy()
     places = places - poses[:, None, :2]
     distances = np.nanmedian(np.linalg.norm(places, axis=-1), axis=0)
+    if distances.max() < PLACE_ERROR_M:
+        return None
     nearest_first = np.argsort(distances)
     ordered = tuple(str(names[j]) for j in nearest_first)
     return RestingPoints(ordered, poses, places[:, nearest_first])
@@ -149,8 +160,12 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
         return np.concatenate([prior, errors, [length_error]])
 
     start_lengths = chords * (length or chords[-1]) / chords[-1]
-    low = np.concatenate([LOWEST, ARC_LENGTH_BOUNDS[0] * start_lengths])
-    high = np.concatenate([HIGHEST, ARC_LENGTH_BOUNDS[1] * start_lengths])
+    shortest, longest = np.outer(ARC_LENGTH_BOUNDS, start_lengths)
+    # Of a point at the grasp they would be the same
+    shortest = np.maximum(shortest - PLACE_ERROR_M, 0.0)
+    longest = longest + PLACE_ERROR_M
+    low = np.concatenate([LOWEST, shortest])
+    high = np.concatenate([HIGHEST, longest])
     fits = []
     for log_stiffness in START_LOG_STIFFNESS:
         start = np.concatenate([[log_stiffness, 0.0, 0.0], start_lengths])
@@ -158,7 +173,9 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
     best = min(fits, key=lambda fit: float(fit.cost)).x
 
     distances = np.linalg.norm(rod.places(best[:3], best[3:]) - resting.places, axis=-1)
-    arc_lengths = best[3:] * (length or best[-1]) / best[-1]
+    # The rod ends at the last point: what would be beyond it was fitted to its end
+    on_string = np.minimum(best[3:], best[-1])
+    arc_lengths = on_string * (length or best[-1]) / best[-1]
     by_point = dict(zip(resting.names, map(float, arc_lengths), strict=True))
     misfit_m = rms(distances[np.isfinite(distances)])
     return HangingString(by_point, misfit_m, len(resting.hands))

@@ -92,6 +92,47 @@ def test_a_stated_length_is_kept_and_the_other_points_hang_where_they_do():
     assert found["mid"] == pytest.approx(0.16, abs=1e-3)
 
 
+def test_a_point_at_the_grasp_is_at_the_beginning_of_the_string():
+    straight = np.array([[[0.0, 0.0], [0.0, -0.15], [0.0, -0.3]]])
+    hand = np.array([[0.0, 0.0, -0.5]])
+    at_rest = RestingPoints(("grasp", "mid", "tip"), hand, straight)
+    for length in (0.3, None):
+        found = fit_hanging_string(at_rest, length).arc_lengths
+        np.testing.assert_allclose([*found.values()], [0, 0.15, 0.3], atol=1e-3)
+
+
+def test_no_point_is_beyond_the_end():
+    """The mean of two points at the end is nearer to the hand than the end."""
+    places = np.array([[[0.0, -0.3], [0.001, -0.3]], [[0.001, -0.301], [0.0, -0.299]]])
+    hands = np.tile([0.0, 0.0, -0.5], (2, 1))
+    twice = RestingPoints(("one", "other"), hands, places)
+    found = fit_hanging_string(twice, 0.3).arc_lengths
+    assert found["other"] == pytest.approx(0.3, abs=1e-12)
+    assert found["one"] == pytest.approx(0.3, abs=2e-3)
+    assert found["one"] <= found["other"]
+
+
+def test_points_at_the_grasp_alone_tell_nothing():
+    points = pd.DataFrame(
+        {"trial": ["a"], "t": 0.0, "point": "clamp", "x": 2e-4, "y": 0.0}
+    )
+    hands = pd.DataFrame({"trial": ["a"], "x": [0.0], "y": [0.0], "theta": [0.0]})
+    assert find_resting_points(points, hands) is None
+
+
+def test_trials_count_whose_tracker_does_not_rate_its_points_or_with_late_poses():
+    """A point that is not valid does not count, nor a hand without a direction."""
+    trials = ["rated", "bad", "unrated", "late", "late", "no direction"]
+    points = pd.DataFrame({"trial": trials, "t": 0.0, "point": "tip", "x": 0.0})
+    points = points.assign(y=-0.3, valid=[True, False, *[np.nan] * 4])
+    hands = pd.DataFrame({"trial": trials, "x": 0.0, "y": 0.0, "theta": 1.0})
+    hands.loc[3, ["x", "theta"]] = 0.7, np.nan
+    hands.loc[5, "theta"] = np.nan
+    found = find_resting_points(points, hands)
+    assert len(found.hands) == 3  # rated, unrated, late
+    np.testing.assert_allclose(found.hands, np.tile([0.0, 0.0, 1.0], (3, 1)))
+
+
 def test_points_rest_where_they_were_at_first_seen_from_the_hand():
     """The nearest comes first, and what was seen in no frame is not there."""
     rows = []
