@@ -352,7 +352,8 @@ def align_roughly(
 
     It is the middle of what is possible whatever the string is.
 
-    Raises DataError if nothing moves, or the string was seen too seldom.
+    Raises DataError if nothing moves, the string was seen too seldom, or no trial has
+    both a hand and points.
     """
     hands = dict(list(grasp.groupby("trial")))
     trials = []
@@ -366,6 +367,11 @@ def align_roughly(
                 grasp=hands[name].drop(columns="trial").sort_values("t"),
             )
             trials.append(CheckedTrial(observation, UNUSED_ARM, length))
+    if not trials:
+        raise DataError(
+            "--clock fit: clocks are aligned by points of the string, and no trial has "
+            "both these and the hand's motion. Give the seconds to add: --clock=-0.35"
+        )
     if all(trial.is_undersampled for trial in trials):
         raise DataError(f"points: {describe_sampling(trials[0])}. {SAMPLING_REMEDY}.")
     windows = possible_windows(trials)

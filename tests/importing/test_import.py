@@ -492,6 +492,19 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         )
 
 
+def test_clocks_are_not_aligned_where_the_hand_of_no_string_is_known(tmp_path):
+    """The string of the only hand's trial was seen in two frames."""
+    files = [
+        write(tmp_path, f"arm_{number}.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
+        for number in (1, 3)
+    ]
+    for number, count in ((1, 2), (2, len(T))):
+        columns = {"t": T[:count], "tip_x": 0.1, "tip_y": -0.1}
+        files.append(write(tmp_path, f"track_{number}.csv", **columns))
+    with pytest.raises(DataError, match=r"no trial has both .*--clock=-0\.35"):
+        convert_recordings(read(*files), BenchHints(length=0.3, fit_clock=True))
+
+
 WRONG = {
     "no columns": (
         {"a.csv": "t,foo\n0,1\n"},
