@@ -1,10 +1,10 @@
-"""The search for causes, again while it changes which trials are used."""
+"""The search for causes, again while those found change what is searched."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -53,118 +53,179 @@ class SearchProgress(NamedTuple):
     state: SelectionState
 
 
+@dataclass(frozen=True)
+class _Search:
+    """What is searched, which the causes found may change.
+
+    Attributes
+    ----------
+    trials : TrialsByUse
+        Those that are chaotic without causes are not excluded yet.
+    settings : DiagnosisSettings
+        With the ranges and the longest time step of this search.
+    returned : tuple of str
+        Names of trials that causes have resolved: they are kept, even if chaotic
+        without causes.
+    """
+
+    trials: TrialsByUse
+    settings: DiagnosisSettings
+    returned: tuple[str, ...] = ()
+
+    def begin(self, known: SelectionState | None = None) -> SearchProgress:
+        """Prepare the data, and fit the causes that are known from fewer trials."""
+        log.info("fitting the base model")
+        settings = self.settings
+        criteria = settings.criteria
+        prepared = prepare_data(
+            settings.model,
+            self.trials.searched_trials,
+            criteria.tip_tolerance_m,
+            np.random.default_rng(settings.seed),
+            settings.starts,
+            lambda share: settings.progress(0.3 * share),
+            settings.longest_step_s,
+            self.returned,
+        )
+        effects = candidate_effects(
+            prepared.base_fit.hypothesis.model,
+            effects_by_name(),
+            prepared.data.trials,
+            settings.excluded_effects,
+        )
+        used = self.trials.excluding_chaotic(prepared.chaotic_trials)
+        state = SelectionState(prepared, prepared.base_fit)
+        if known is not None:
+            state = with_causes_found_before(
+                prepared, known, criteria, settings.seed, settings.starts
+            )
+        return SearchProgress(used, prepared, effects, state)
+
+
 def search_until_trials_settle(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
 ) -> Iterator[SearchProgress]:
-    """Search causes, while these change which trials are used.
+    """Search causes, again while those found change what is searched.
 
-    A trial that is chaotic with the causes so far is left out, and returns once further
-    causes resolve it. If the fit to all trials does not resolve it, it is left out for
-    good. The search goes on from the causes. So it does with a trial that was outlying
-    and that they predict: a search with this trial has found others. If trials are
-    chaotic in long steps, the search begins again in short ones. So it does in a wider
-    range if the causes leave a parameter of the string at the end of its own.
+    - A chaotic trial returns once the causes resolve it, and the search goes on with it
+      from these causes. If the fit to all trials does not resolve it, it is left out
+      for good.
+    - If trials are chaotic with the causes in long time steps, the search begins again
+      in short ones.
+    - If the causes leave a parameter of the string at the end of its range, the search
+      begins again in a wider one.
+    - A trial that is chaotic with the causes in short steps is left out, and the search
+      goes on from the causes.
+    - When no cause is missing any more, the search begins again without a trial that
+      is outlying. It goes on with one that was outlying and that the causes predict: a
+      search with this trial has found others.
     """
-    criteria = settings.criteria
-    returned = list[str]()
-    reached = _begin_search(trials, settings, returned, None)
-    while True:
+    search = _Search(trials, settings)
+    reached: SearchProgress | None = search.begin()
+    while reached is not None:
         yield reached
-        together = None
-        chaotic = list[str]()
-        better = settings
-        states = select_causes(
-            reached.state, reached.effects, criteria, settings.seed, settings.starts
-        )
-        for number, state in enumerate(states, 1):
-            settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
-            reached = reached._replace(state=state)
-            resolved = _trials_resolved_with_causes(
-                state, trials.searched_trials, criteria.tip_tolerance_m
-            )
-            if resolved:
-                log.info("resolved with the causes: %s", ", ".join(resolved))
-                returned += resolved
-                together = _search_together(trials, settings, returned, state)
-                if together is None:
-                    log.info("chaotic again: %s", ", ".join(resolved))
-                    trials = trials.excluding_chaotic(resolved)
-            chaotic = _trials_chaotic_with_causes(state, criteria)
-            better = _settings_with_causes(state, settings, chaotic)
-            if together or chaotic or better is not settings:
+        following = None
+        selected = _select_causes(reached, settings)
+        for reached in selected:
+            search, following = _search_after_new_cause(search, reached)
+            if following is not None:
                 break
             yield reached
-
-        state = reached.state
-        if better is not settings:
-            settings = better
-            reached = _begin_search(trials, settings, returned, None)
-            continue
-        if together is not None:
-            reached = together
-            continue
-        if chaotic:
-            log.info("chaotic with the causes: %s", ", ".join(chaotic))
-            state = without_chaotic_trials(state, chaotic, criteria)
-            for_good = [name for name in chaotic if name in returned]
-            trials = trials.excluding_chaotic(for_good)
-            used = trials.excluding_chaotic(state.prepared.chaotic_trials)
-            reached = reached._replace(trials=used, state=state)
-            continue
-        searched = trials
-        trials = _trials_for_another_search(searched, state, criteria)
-        if trials is searched:
-            return
-        is_kept = trials.predicted != searched.predicted
-        known = state if is_kept and state.fit.hypothesis.causes else None
-        reached = _begin_search(trials, settings, returned, known)
+        else:
+            search, following = _search_other_trials(search, reached.state)
+        reached = following
 
 
-def _begin_search(
-    trials: TrialsByUse,
-    settings: DiagnosisSettings,
-    keep_if_chaotic: Sequence[str],
-    known: SelectionState | None,
-) -> SearchProgress:
-    """Prepare the data, and fit the causes that are known from fewer trials."""
-    log.info("fitting the base model")
+def _select_causes(
+    reached: SearchProgress, settings: DiagnosisSettings
+) -> Iterator[SearchProgress]:
+    """Select causes in the trials at hand, one at a time, and report progress."""
     criteria = settings.criteria
-    prepared = prepare_data(
-        settings.model,
-        trials.searched_trials,
-        criteria.tip_tolerance_m,
-        np.random.default_rng(settings.seed),
-        settings.starts,
-        lambda share: settings.progress(0.3 * share),
-        settings.longest_step_s,
-        keep_if_chaotic,
+    states = select_causes(
+        reached.state, reached.effects, criteria, settings.seed, settings.starts
     )
-    effects = candidate_effects(
-        prepared.base_fit.hypothesis.model,
-        effects_by_name(),
-        prepared.data.trials,
-        settings.excluded_effects,
-    )
-    used = trials.excluding_chaotic(prepared.chaotic_trials)
-    state = SelectionState(prepared, prepared.base_fit)
-    if known is not None:
-        state = with_causes_found_before(
-            prepared, known, criteria, settings.seed, settings.starts
-        )
-    return SearchProgress(used, prepared, effects, state)
+    for number, state in enumerate(states, 1):
+        settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
+        yield reached._replace(state=state)
 
 
-def _search_together(
-    trials: TrialsByUse,
-    settings: DiagnosisSettings,
-    returned: Sequence[str],
-    known: SelectionState,
-) -> SearchProgress | None:
-    """Search with trials that returned, or not at all if the fit leaves any chaotic."""
-    together = _begin_search(trials, settings, returned, known)
-    chaotic = _trials_chaotic_with_causes(together.state, settings.criteria)
-    return None if chaotic else together
+def _search_after_new_cause(
+    search: _Search, reached: SearchProgress
+) -> tuple[_Search, SearchProgress | None]:
+    """Begin again, or go on with other trials, if the causes found ask for it.
+
+    Returns the search with what they change, and where it begins or goes on; None if
+    further causes are selected in the same trials.
+    """
+    state = reached.state
+    search, with_resolved = _search_with_resolved_trials(search, state)
+    chaotic = _trials_chaotic_with_causes(state, search.settings.criteria)
+    settings = _settings_with_causes(state, search.settings, chaotic)
+    if settings is not search.settings:
+        search = replace(search, settings=settings)
+        return search, search.begin()
+    if with_resolved is not None:
+        return search, with_resolved
+    if chaotic:
+        return _search_without_chaotic_trials(search, reached, chaotic)
+    return search, None
+
+
+def _search_with_resolved_trials(
+    search: _Search, state: SelectionState
+) -> tuple[_Search, SearchProgress | None]:
+    """Search with chaotic trials that the causes resolve.
+
+    They are left out for good, and None is returned, if the fit to all trials leaves
+    any of them chaotic.
+    """
+    criteria = search.settings.criteria
+    resolved = _trials_resolved_with_causes(
+        state, search.trials.searched_trials, criteria.tip_tolerance_m
+    )
+    if not resolved:
+        return search, None
+    log.info("resolved with the causes: %s", ", ".join(resolved))
+    search = replace(search, returned=(*search.returned, *resolved))
+    together = search.begin(state)
+    if not _trials_chaotic_with_causes(together.state, criteria):
+        return search, together
+    log.info("chaotic again: %s", ", ".join(resolved))
+    return replace(search, trials=search.trials.excluding_chaotic(resolved)), None
+
+
+def _search_without_chaotic_trials(
+    search: _Search, reached: SearchProgress, chaotic: Sequence[str]
+) -> tuple[_Search, SearchProgress]:
+    """Search without trials that are chaotic with the causes, from these causes.
+
+    Those that returned before are left out for good.
+    """
+    log.info("chaotic with the causes: %s", ", ".join(chaotic))
+    for_good = [name for name in chaotic if name in search.returned]
+    trials = search.trials.excluding_chaotic(for_good)
+    state = without_chaotic_trials(reached.state, chaotic, search.settings.criteria)
+    used = trials.excluding_chaotic(state.prepared.chaotic_trials)
+    without = reached._replace(trials=used, state=state)
+    return replace(search, trials=trials), without
+
+
+def _search_other_trials(
+    search: _Search, state: SelectionState
+) -> tuple[_Search, SearchProgress | None]:
+    """Search without an outlying trial, or with one that the causes predict.
+
+    Returns the search with these trials, and where it begins; None if all stay.
+    """
+    criteria = search.settings.criteria
+    trials = _trials_for_another_search(search.trials, state, criteria)
+    if trials is search.trials:
+        return search, None
+    includes_predicted = trials.predicted != search.trials.predicted
+    has_causes = bool(state.fit.hypothesis.causes)
+    search = replace(search, trials=trials)
+    return search, search.begin(state if includes_predicted and has_causes else None)
 
 
 def _trials_for_another_search(
