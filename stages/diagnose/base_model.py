@@ -142,24 +142,37 @@ def widen_ranges_with_causes(data: TrialData, fit: Fit) -> Model | None:
     Without them the base model may end elsewhere. A cause that is not there would make
     up for the narrow range.
 
+    Parameters
+    ----------
+    data : TrialData
+        Corrected at the fit.
+    fit : Fit
+        With the causes.
+
     Returns
     -------
     Model or None
         The base model in the wider range; None if the ranges are wide enough.
     """
     hypothesis = fit.hypothesis
-    # Its centre is given by exponents of the narrow range
-    data = replace(data, mesh_correction=None)
-    values = parameter_values(hypothesis.parameters, fit.chi[None])
+    wider_models = {}
     for parameter, exponent in zip(hypothesis.parameters, fit.chi, strict=True):
         wider = _in_wider_range(hypothesis.base, parameter, exponent)
-        if wider is None:
-            continue
+        if wider is not None:
+            wider_models[parameter.name] = wider
+    if not wider_models:
+        return None
+
+    # The correction's centre is given by exponents of the narrow range: no range has it
+    data = replace(data, mesh_correction=None)
+    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.scale_indices)
+    values = parameter_values(hypothesis.parameters, narrow.chi[None])
+    for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
         start = parameter_exponents(widened.parameters, values)
         refitted = fit_hypothesis(data, widened, start, fit.scale_indices)
-        if refitted.log_evidence > fit.log_evidence + STRONG_LOG_EVIDENCE:
-            log.info("the range of %s is too narrow", parameter.name)
+        if refitted.log_evidence > narrow.log_evidence + STRONG_LOG_EVIDENCE:
+            log.info("the range of %s is too narrow", name)
             return wider
     return None
 

@@ -30,12 +30,15 @@ from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.search import (
     refine_solution,
     screen_candidates,
     search_parameters,
+    with_estimated_noise,
 )
+from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.parameter import parameter_exponents
@@ -271,14 +274,10 @@ def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
     trials = tuple(replace(trial, model=limited) for trial in prepared.trials)
     likelihood = Likelihood(TrialData(trials), limited)
     bending = limited.names.index("bending_stiffness")
-    axial = limited.names.index("axial_stiffness")
 
     chi = np.clip(prepared.base_fit.chi, 0.1, 0.9)
     assert widen_range_if_supported(likelihood, chi, bending)[0] is likelihood
-    chi[[bending, axial]] = 1.0
-    # The data do not determine the axial stiffness
-    assert widen_range_if_supported(likelihood, chi, axial)[0] is likelihood
-
+    chi[bending] = 1.0
     wider, chi = widen_range_if_supported(likelihood, chi, bending)
     widened = wider.model.string.ranges
     assert widened["bending_stiffness"].high == pytest.approx(60.0)
@@ -287,10 +286,27 @@ def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
     assert wider.parameters[bending].value(chi[bending]) > 2.0
 
 
+def test_a_range_is_wide_enough_where_a_wider_one_explains_hardly_more(model, prepared):
+    """The data would have more axial damping, and hardly determine it."""
+    damping = {p.name: p for p in model.string.parameters}["axial_damping"]
+    index = model.names.index(damping.name)
+    high = damping.value(prepared.base_fit.chi[index]) / 2
+    ranges = {damping.name: replace(damping, high=high)}
+    limited = replace(model, string=replace(model.string, ranges=ranges))
+    trials = tuple(replace(trial, model=limited) for trial in prepared.trials)
+    likelihood = Likelihood(TrialData(trials), limited)
+    start = prepared.base_fit.chi.copy()
+    start[index] = 1.0
+    with_noise = with_estimated_noise(likelihood, start)
+    (chi,) = fit_least_squares(with_noise, start[None]).chi
+    assert chi[index] == 1.0
+    assert widen_range_if_supported(likelihood, chi, index)[0] is likelihood
+
+
 def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more(
     model, prepared
 ):
-    """The bending stiffness would be higher; that of the drag is where it should be."""
+    """The bending stiffness is above one range, and inside the other."""
     string = model.string
     parameters = {p.name: p for p in string.parameters}
     stiffness = parameters["bending_stiffness"]
@@ -309,6 +325,35 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
             assert wider is None
         else:
             assert wider.string.ranges["bending_stiffness"].high == expected
+
+
+def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
+    model, prepared
+):
+    """A wider range has no correction, and is compared with the fit without it.
+
+    The axial stiffness would be a little inside its range.
+    """
+    string = model.string
+    parameters = {p.name: p for p in string.parameters}
+    ranges = {"axial_stiffness": parameters["axial_stiffness"]}
+    base = Hypothesis(replace(model, string=replace(string, ranges=ranges)))
+    chi = true_exponents(base, TRUTH)
+    axial = model.names.index("axial_stiffness")
+    chi[axial] = 1.0
+    centre = chi.copy()
+    centre[axial] = 0.5
+    slopes = []
+    for trial in prepared.data.trials:
+        slope = np.zeros((len(chi), 2 * len(trial.s)))
+        slope[axial] = 100.0
+        slopes.append(slope)
+    correction = MeshCorrection(model.names, centre, tuple(slopes))
+    data = replace(prepared.data, mesh_correction=correction)
+    uncorrected = replace(data, mesh_correction=None)
+    fit = evaluate_fit(data, base, chi)
+    assert fit.log_evidence < evaluate_fit(uncorrected, base, chi).log_evidence - 10
+    assert widen_ranges_with_causes(data, fit) is None
 
 
 def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
