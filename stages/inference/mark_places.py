@@ -1,10 +1,10 @@
-"""Marks on the string may be elsewhere than stated: what that does to measured points.
+"""How points move if marks on the string are elsewhere than stated.
 
 A ruler along a string that is not quite straight, or a tracker's idea of where its
-points are, is off by a millimetre. Every mark is then seen as far along the string,
-frame after frame, which no noise does, and which shifts of the camera or of the clamp
-do as well. The grasp and the tip are where they are; between them the error is a sum of
-a few half waves.
+points are, is off by a millimetre. Such a mark is displaced along the string in every
+frame. No noise does that, but a shifted camera or clamp does, and would be found. The
+grasp and the tip are where they are stated. Between them the error is a sum of a few
+half waves. Each trial has errors of its own, although marks stay where they are.
 """
 
 from __future__ import annotations
@@ -29,15 +29,19 @@ def mark_place_columns(
     model: Model,
     values: np.ndarray,
 ) -> list[np.ndarray]:
-    """Compute how points move over sigma with each half wave, (2 N, M) of each trial.
-
-    There are as many as marks between the grasp and the tip, and MAX_HALF_WAVES at
-    most; zeros for what cannot be simulated.
+    """Compute how points move with each half wave, over sigma.
 
     Parameters
     ----------
+    trials : sequence of PreparedTrial
+    model : Model
     values : numpy.ndarray, shape (P,)
         Parameters of the model.
+
+    Returns
+    -------
+    list of numpy.ndarray, shape (2 N, M)
+        Of each trial; zeros if it cannot be simulated.
     """
     length = model.string.length
     nearer = []
@@ -53,7 +57,7 @@ def mark_place_columns(
     for trial, points, nearer_points in simulated:
         step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
         slope = np.nan_to_num((points[0] - nearer_points[0]) / step[:, None])
-        half_waves = np.arange(1, count_marks(trial, length) + 1)
+        half_waves = np.arange(1, count_half_waves(trial, length) + 1)
         shifts = PLACE_ERROR_M * np.sin(np.pi * trial.s[:, None] / length * half_waves)
         moved = slope[:, :, None] * shifts[:, None, :]  # (N, 2, M)
         scaled = moved / trial.sigma[:, None, None]
@@ -61,8 +65,11 @@ def mark_place_columns(
     return columns
 
 
-def count_marks(trial: PreparedTrial, length: float) -> int:
-    """Count the half waves that the places of a trial's points tell apart."""
+def count_half_waves(trial: PreparedTrial, length: float) -> int:
+    """Count the half waves that a trial's points distinguish.
+
+    They are as many as marks between the grasp and the tip, MAX_HALF_WAVES at most.
+    """
     between = 0
     for track in track_places(trial.frame, trial.s):
         place = float(np.median(trial.s[track]))

@@ -9,6 +9,7 @@ from synthetic_trials import SIGMA, simulate_trial, swing_angles, true_exponents
 
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.inference import mark_places
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
@@ -75,6 +76,27 @@ def test_a_column_is_what_moving_the_mark_does(prepare, hypothesis, true):
 )
 def test_marks_between_grasp_and_tip_count(prepare, hypothesis, true, places, count):
     assert columns_of(prepare(places), hypothesis, true).shape[1] == count
+
+
+def test_points_at_the_grasp_do_not_move(prepare, hypothesis, true):
+    trial = prepare([0, MIDDLE, TIP])
+    columns = columns_of(trial, hypothesis, true).reshape(len(trial.s), 2)
+    assert (trial.s == 0).any()
+    assert not columns[trial.s == 0].any()
+    assert columns[(trial.s > 0) & ~trial.is_tip].any()
+
+
+def test_no_mark_moves_in_a_trial_that_cannot_be_simulated(
+    prepare, hypothesis, true, monkeypatch
+):
+    def diverge(model, trials, values):
+        return [np.full((1, len(trial.s), 2), np.nan) for trial in trials]
+
+    trial = prepare([MIDDLE, TIP])
+    monkeypatch.setattr(mark_places, "measured_points", diverge)
+    columns = columns_of(trial, hypothesis, true)
+    assert columns.shape == (2 * len(trial.s), 1)
+    assert not columns.any()
 
 
 def test_a_mark_that_is_off_is_seen_and_costs_little(prepare, hypothesis, true):
