@@ -154,8 +154,11 @@ def strip_coverage(
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
     segment = np.diff(pixels, axis=0)  # (n - 1, 2)
     length = np.linalg.norm(segment, axis=1)
-    # a longer segment, or one that is not a number, is of a simulation that diverged
-    drawn = np.flatnonzero(length < sum(shape))
+    # longer segments, far ones and those that are no numbers: of diverged simulations
+    reach = sum(shape)
+    is_near = (np.abs(pixels) < 2 * reach).all(axis=1)
+    is_drawn = is_near & np.isfinite(normal).all(axis=1)
+    drawn = np.flatnonzero((length < reach) & is_drawn[:-1] & is_drawn[1:])
     if not len(drawn):
         return np.zeros(shape)
 

@@ -139,6 +139,17 @@ def test_mirrored_pictures_are_read_as_mirrored_lines():
         assert np.abs(back - lines).max() < 0.2
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("wrong", [np.nan, 1e30])
+def test_the_lab_draws_what_is_left_of_a_string_that_diverged(wrong):
+    line = np.column_stack([np.linspace(10.0, 50.0, 21), np.full(21, 30.0)])
+    line[15:] = wrong
+    drawn = strip_coverage((64, 64), line, 2.0)
+    seen_px = drawn.sum() / 2.0
+    assert 26.0 - 1e-9 <= seen_px <= 28.0 + 1e-9  # of 28 px, or without the last piece
+    assert not drawn[:, 40:].any()
+
+
 @pytest.mark.parametrize("width", [1.4, 4.0])
 def test_the_lab_draws_a_string_over_the_area_that_it_covers(width):
     """Light, its middle and its ends are those of a flat strip.
