@@ -38,7 +38,7 @@ LENGTH_ERROR_M = 1e-4  # of a stated length
 
 @dataclass(frozen=True)
 class RestingPoints:
-    """Where the points of a string rest, in K trials.
+    """Points of a string at rest, in K trials.
 
     Attributes
     ----------

@@ -55,7 +55,7 @@ class SearchProgress(NamedTuple):
 
 @dataclass(frozen=True)
 class _Search:
-    """What is searched, which the causes found may change.
+    """Trials and settings of a search, which the causes found may change.
 
     Attributes
     ----------
