@@ -292,16 +292,15 @@ def measure_hanging_points(
             "Give it in metres: --at tip=0.30."
         )
     hanging = fit_hanging_string(resting, bench.length)
-    length = bench.length
-    if not length:
-        length = note_length(hanging.length, describe_hanging_string(hanging), notes)
+    agreement = describe_hanging_string(hanging)
+    length = bench.length or note_length(hanging.length, agreement, notes)
     if len(hanging.arc_lengths) > 1:
         places = []
         for name, s in hanging.arc_lengths.items():
             places.append(f"{name or 'point'} {s:.3f} m")
         notes.append(
-            "the points are placed along the string as it hangs at rest: "
-            f"{', '.join(places)}. Give their places with --at"
+            f"the points are placed along the string, the last at its end ({agreement})"
+            f": {', '.join(places)}. Give their places with --at"
         )
     return hanging.arc_lengths, length
 
@@ -323,7 +322,10 @@ def describe_hanging_string(hanging: HangingString) -> str:
         f"{1e3 * hanging.misfit_m:.1f} mm from a heavy rod"
     )
     if hanging.misfit_m > MAX_HANGING_MISFIT * hanging.length:
-        text += ", which is too far: are --links and --base right?"
+        text += (
+            ", which is too far: are --links and --base right, and --length, and is "
+            "the last point its end?"
+        )
     return text
 
 

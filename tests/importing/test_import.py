@@ -492,6 +492,20 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         )
 
 
+@pytest.mark.parametrize(("end", "is_doubted"), [(0.3, False), (0.25, True)])
+def test_import_asks_whether_the_last_point_is_the_end_if_it_hangs_elsewhere(
+    tmp_path, end, is_doubted
+):
+    """The length is stated, and the tip may not have been tracked."""
+    arm = write(tmp_path, "arm.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
+    hung = {"mid_x": 0.1, "mid_y": 0.1, "end_x": 0.1, "end_y": 0.2 - end}
+    track = write(tmp_path, "track.csv", t=T, **hung)
+    made = convert_recordings(read(arm, track), BenchHints(length=0.3))
+    (note,) = made.notes
+    assert "the last at its end" in note
+    assert ("is the last point its end?" in note) == is_doubted
+
+
 def test_clocks_are_not_aligned_where_the_hand_of_no_string_is_known(tmp_path):
     """The string of the only hand's trial was seen in two frames."""
     files = [
