@@ -72,6 +72,17 @@ def test_a_set_is_told_from_length():
     np.testing.assert_allclose([*found.values()], PLACES_M, atol=1.5e-3)
 
 
+@pytest.mark.parametrize("gravity_length", GRAVITY_LENGTHS_M)
+def test_a_string_that_leaves_the_hand_elsewhere_moves_points_by_4_mm_at_most(
+    gravity_length,
+):
+    """The hand's direction is off by 0.2 rad."""
+    turned = resting(gravity_length)
+    turned.hands[:, 2] -= 0.2
+    found = fit_hanging_string(turned, LENGTH_M).arc_lengths
+    np.testing.assert_allclose([*found.values()], PLACES_M, atol=4e-3)
+
+
 def test_noise_moves_points_by_no_more_than_itself():
     found = fit_hanging_string(resting(0.06, noise_m=5e-4), LENGTH_M).arc_lengths
     np.testing.assert_allclose([*found.values()], PLACES_M, atol=1e-3)
