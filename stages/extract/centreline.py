@@ -318,13 +318,17 @@ def _find_end(
 
     Blur along the string fades its end; half is where the end is in the middle of the
     exposure, however fast it moved. An end hidden by an outline may lie anywhere in it.
-    Both are in numbers of points, which are pixels.
+    Both are in numbers of points, which are pixels. Raises UnreadableError if no
+    point is lit.
     """
     reach = int(4 * half_width + 4 + END_MARGIN_PX)
     first = max(len(light) - reach, 0)
     full_light = float(np.percentile(light[first:], 75))
     half_light = full_light / 2
-    last = int(np.flatnonzero(light >= half_light)[-1])
+    lit = np.flatnonzero(light >= half_light)
+    if not lit.size:
+        raise UnreadableError("no string in view")
+    last = int(lit[-1])
     hidden_count = int(np.argmin(np.append(outlined[last + 1 :], False)))
     if hidden_count or last + 1 == len(light):
         # mean and standard deviation of a uniform distribution over the hidden points

@@ -9,8 +9,10 @@ import yaml
 from conftest import ROOT
 
 from stringcast.hardware.virtual.render import strip_coverage
+from stringcast.stages.extract.centreline import UnreadableError, refine_line
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
+from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.model.camera import Camera
 
 SETTINGS = yaml.safe_load((ROOT / "conf" / "extract" / "centreline.yaml").read_text())
@@ -137,6 +139,18 @@ def test_mirrored_pictures_are_read_as_mirrored_lines():
         back[..., axis] = last - back[..., axis]
         assert np.abs((back - lines).mean(axis=0)).max() < 0.01
         assert np.abs(back - lines).max() < 0.2
+
+
+def test_a_line_along_which_nothing_is_lit_is_not_read():
+    """Noise makes dark pixels darker than the wall."""
+    dark = SegmentedFrame(
+        np.full((SIZE_PX, SIZE_PX), -3.0, np.float32),
+        *(np.zeros((SIZE_PX, SIZE_PX), kind) for kind in (np.uint8, bool, bool)),
+        NOISE_GREY,
+    )
+    path = np.column_stack([np.arange(20, 80), np.full(60, 50)])
+    with pytest.raises(UnreadableError, match="no string"):
+        refine_line(dark, path, 1.0)
 
 
 @pytest.mark.filterwarnings("error")
