@@ -1,0 +1,62 @@
+"""Check that marks hang where they are stated to be along the string."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pandas as pd
+
+from stringcast.stages.check.finding import Finding, warning
+from stringcast.stages.check.hanging_string import (
+    find_resting_points,
+    fit_hanging_string,
+)
+from stringcast.stages.check.measured import CheckedDataset
+
+MIN_TRIALS = 3  # that begin at rest: fewer bend the string in too few ways
+MAX_MARKS = 6  # with the tip; more are a line, measured in the picture
+# Errors of the place that are found, in metres and of the length: in 32 simulated sets
+# with wind, heavy tips and arms that turn too far, right marks are found within 1.1 mm
+MIN_SHIFT_M = 3e-3
+MIN_SHIFT = 0.01
+MAX_MISFIT = 0.01  # of the length: where the string hangs otherwise, it says nothing
+
+
+def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find marks that hang farther along the string, or less far, than stated."""
+    points, hands = _resting_tables(dataset)
+    if points.empty or points["point"].nunique() > MAX_MARKS:
+        return
+    resting = find_resting_points(points, hands)
+    if resting is None or len(resting.hands) < MIN_TRIALS:
+        return
+    stated = [float(name) for name in resting.names]
+    hanging = fit_hanging_string(resting, stated[-1])
+    length = dataset.length
+    if hanging.misfit_m > MAX_MISFIT * length:
+        return
+    for place, found in zip(stated, hanging.arc_lengths.values(), strict=True):
+        if abs(found - place) > max(MIN_SHIFT_M, MIN_SHIFT * length):
+            statement = f"the points at {place:.3f} m hang as if at {found:.3f} m"
+            remedy = (
+                "Measure again how far along the straight string they are, and correct "
+                "s; `import` finds it if no --at is given"
+            )
+            yield warning(dataset.points_file, "s", statement, remedy)
+
+
+def _resting_tables(dataset: CheckedDataset) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Collect the points and hands of trials at rest; points are named by their s."""
+    points = []
+    hands = []
+    for trial in dataset.with_points():
+        if trial.starts_moving:
+            continue
+        names = trial.points["s"].map("{:.4f}".format)
+        columns = trial.points[["t", "x", "y"]]
+        points.append(columns.assign(trial=trial.name, point=names))
+        hand = pd.DataFrame(trial.pose[:1], columns=["x", "y", "theta"])
+        hands.append(hand.assign(trial=trial.name))
+    if not points:
+        return pd.DataFrame(), pd.DataFrame()
+    return pd.concat(points), pd.concat(hands)

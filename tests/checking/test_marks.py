@@ -1,0 +1,49 @@
+"""Marks that hang elsewhere along the string than stated are found."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stringcast.stages.check.finding import Severity
+from tests.checking.test_check import Dirty, findings_in
+
+SHIFT_M = 0.008
+
+
+@pytest.fixture
+def few_marks():
+    """Keep the tip and two marks of the sample."""
+    dirty = Dirty()
+    places = np.sort(dirty.points["s"].unique())
+    chosen = places[[1, 3, -1]]
+    dirty.points = dirty.points[dirty.points["s"].isin(chosen)].reset_index(drop=True)
+    return dirty, chosen
+
+
+def mark_findings(dirty, folder):
+    return [f for f in findings_in(dirty.write(folder)) if "hang as if" in f.statement]
+
+
+def test_marks_where_they_are_stated_are_left_alone(few_marks, tmp_path):
+    dirty, _ = few_marks
+    assert not mark_findings(dirty, tmp_path)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_mark_stated_elsewhere_is_found_with_its_place(few_marks, tmp_path, sign):
+    dirty, (_, place, _) = few_marks
+    is_mark = dirty.points["s"] == place
+    dirty.points.loc[is_mark, "s"] = place + sign * SHIFT_M
+    (finding,) = mark_findings(dirty, tmp_path)
+    assert finding.severity is Severity.WARNING
+    stated, found = map(float, re.findall(r"at (0\.\d+) m", finding.statement))
+    assert stated == pytest.approx(place + sign * SHIFT_M, abs=5e-4)
+    assert found == pytest.approx(place, abs=1.5e-3)
+
+
+def test_a_whole_line_is_no_mark(tmp_path):
+    """Its arc lengths are measured in the picture, and of all points alike."""
+    dirty = Dirty()
+    dirty.points["s"] *= 1 + 0.1 * np.sin(9 * dirty.points["s"])
+    assert not mark_findings(dirty, tmp_path)
