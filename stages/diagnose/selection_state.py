@@ -97,9 +97,11 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
     if not len(starts):
         return refined
     other = fit_hypothesis(data, fit.hypothesis, starts, fit.scale_indices)
-    if other.log_evidence > fit.log_evidence:
-        return correct_discretisation_once(refined.prepared, other)
-    return refined
+    if other.log_evidence <= fit.log_evidence:
+        return refined
+    # What it gained may be the numerical error of where it was
+    elsewhere = correct_discretisation_once(refined.prepared, other)
+    return max(refined, elsewhere, key=lambda each: each.fit.log_evidence)
 
 
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:

@@ -408,3 +408,29 @@ def test_another_string_is_compared_with_its_own_numerical_error(
         SimpleNamespace(data=None), fit, None, 4
     )
     assert better.fit.log_evidence == max(own_evidence, 1.0)
+
+
+@pytest.mark.parametrize("corrected_evidence", [3.0, -30.0])
+def test_other_values_of_a_cause_are_taken_only_with_their_own_numerical_error(
+    corrected_evidence, monkeypatch
+):
+    """Where they were found the data had the numerical error of others."""
+    hypothesis = SimpleNamespace(cause_names=("wind",))
+    first, found, corrected = (
+        SimpleNamespace(
+            log_evidence=evidence, hypothesis=hypothesis, scale_indices=None
+        )
+        for evidence in (0.0, 5.0, corrected_evidence)
+    )
+    prepared = SimpleNamespace(data=None)
+
+    def correct(prepared, fit):
+        return RefinedFit(prepared, corrected if fit is found else fit)
+
+    monkeypatch.setattr(selection_state, "correct_discretisation_once", correct)
+    monkeypatch.setattr(
+        selection_state, "alternative_parameter_starts", lambda *given: np.ones((1, 1))
+    )
+    monkeypatch.setattr(selection_state, "fit_hypothesis", lambda *given: found)
+    refined = selection_state.refine_fit(prepared, first)
+    assert refined.fit is (corrected if corrected_evidence > 0 else first)
