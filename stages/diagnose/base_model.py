@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.common import Progress, choose_evenly
-from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
+from stringcast.stages.diagnose.measures import (
+    mean_explained_fraction,
+    unexplained_tip_rms,
+)
+from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE, Criteria
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
@@ -136,11 +140,14 @@ def _in_wider_range(
     return replace(model, string=replace(model.string, ranges=ranges))
 
 
-def widen_ranges_with_causes(data: TrialData, fit: Fit) -> Model | None:
-    """Widen a range at whose end the causes leave a parameter, if that explains more.
+def widen_ranges_with_causes(
+    data: TrialData, fit: Fit, criteria: Criteria
+) -> Model | None:
+    """Widen a range at whose end the causes leave a parameter, if that explains most.
 
     Without them the base model may end elsewhere. A cause that is not there would make
-    up for the narrow range.
+    up for the narrow range. A wider one counts if it removes `min_explained_fraction`
+    of what is left; where something is missing in the model, evidence rises for less.
 
     Parameters
     ----------
@@ -148,6 +155,7 @@ def widen_ranges_with_causes(data: TrialData, fit: Fit) -> Model | None:
         Corrected at the fit.
     fit : Fit
         With the causes.
+    criteria : Criteria
 
     Returns
     -------
@@ -171,7 +179,12 @@ def widen_ranges_with_causes(data: TrialData, fit: Fit) -> Model | None:
         widened = Hypothesis(wider, hypothesis.causes)
         start = parameter_exponents(widened.parameters, values)
         refitted = fit_hypothesis(data, widened, start, fit.scale_indices)
-        if refitted.log_evidence > narrow.log_evidence + STRONG_LOG_EVIDENCE:
+        explained = mean_explained_fraction(
+            unexplained_tip_rms(data, narrow),
+            unexplained_tip_rms(data, refitted),
+            criteria.tip_tolerance_m,
+        )
+        if explained >= criteria.min_explained_fraction:
             log.info("the range of %s is too narrow", name)
             return wider
     return None

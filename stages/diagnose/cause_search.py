@@ -263,7 +263,8 @@ def _settings_with_causes(
         return replace(settings, longest_step_s=STEP_S)
     if not state.fit.hypothesis.causes:
         return settings
-    wider = widen_ranges_with_causes(state.prepared.data, state.fit)
+    data = state.prepared.data
+    wider = widen_ranges_with_causes(data, state.fit, settings.criteria)
     if wider is None:
         return settings
     string = replace(settings.model.string, ranges=wider.string.ranges)

@@ -5,7 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import SIGMA, simulate_trial, swing_angles, true_exponents
+from synthetic_trials import (
+    CRITERIA,
+    SIGMA,
+    simulate_trial,
+    swing_angles,
+    true_exponents,
+)
 
 from stringcast.stages.diagnose import preparation
 from stringcast.stages.diagnose.base_model import (
@@ -320,7 +326,7 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
         fit = fit_hypothesis(
             prepared.data, base, chi[None], prepared.base_fit.scale_indices
         )
-        wider = widen_ranges_with_causes(prepared.data, fit)
+        wider = widen_ranges_with_causes(prepared.data, fit, CRITERIA)
         if expected is None:
             assert wider is None
         else:
@@ -353,7 +359,7 @@ def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
     uncorrected = replace(data, mesh_correction=None)
     fit = evaluate_fit(data, base, chi)
     assert fit.log_evidence < evaluate_fit(uncorrected, base, chi).log_evidence - 10
-    assert widen_ranges_with_causes(data, fit) is None
+    assert widen_ranges_with_causes(data, fit, CRITERIA) is None
 
 
 def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):

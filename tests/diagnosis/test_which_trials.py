@@ -303,7 +303,7 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
         hypothesis = SimpleNamespace(causes=("tip_mass",))
         yield SelectionState(state.prepared, SimpleNamespace(hypothesis=hypothesis))
 
-    def widen(data, fit):
+    def widen(data, fit, criteria):
         return wider if len(searched) == 1 else None
 
     searched, begun_with = [], []
@@ -320,7 +320,7 @@ def settle(
     select,
     steps_are_long=False,
     model=None,
-    widen=lambda data, fit: None,
+    widen=lambda data, fit, criteria: None,
 ):
     """Search three trials until it is settled which of them are used."""
     monkeypatch.setattr(cause_search, "widen_ranges_with_causes", widen)
