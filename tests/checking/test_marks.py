@@ -42,6 +42,22 @@ def test_a_mark_stated_elsewhere_is_found_with_its_place(few_marks, tmp_path, si
     assert found == pytest.approx(place, abs=1.5e-3)
 
 
+@pytest.mark.parametrize("change", ["two trials", "moving", "another hand"])
+def test_strings_that_do_not_show_it_are_left_alone(few_marks, tmp_path, change):
+    """They hang in too few ways, do not hang, or hang otherwise than in this hand."""
+    dirty, (_, place, _) = few_marks
+    dirty.points.loc[dirty.points["s"] == place, "s"] = place + SHIFT_M
+    if change == "two trials":
+        first_two = sorted(dirty.points["trial"].unique())[:2]
+        dirty.points = dirty.points[dirty.points["trial"].isin(first_two)]
+        dirty.arm = dirty.arm[dirty.arm["trial"].isin(first_two)]
+    elif change == "moving":
+        dirty.about["initial"] = "moving"
+    else:
+        dirty.points["x"] += 0.01
+    assert not mark_findings(dirty, tmp_path)
+
+
 def test_a_whole_line_is_no_mark(tmp_path):
     """Its arc lengths are measured in the picture, and of all points alike."""
     dirty = Dirty()
