@@ -34,6 +34,7 @@ REFERENCE_LENGTH_M = 0.3
 START_LOG_STIFFNESS = (-3.0, 0.0, 2.0, 4.0)
 ARC_LENGTH_BOUNDS = (0.3, 3.0)  # in those of a limp string
 LENGTH_ERROR_M = 1e-4  # of a stated length
+DIFFERENCE_STEP = 1e-6  # of logarithms, [rad], [m]
 
 
 @dataclass(frozen=True)
@@ -150,14 +151,21 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
     rod = HeavyRod.in_hands(resting.hands, resting.places[:, -1], float(chords[-1]))
 
     def residuals(unknowns: np.ndarray) -> np.ndarray:
-        stiffness_and_set, arc_lengths = np.split(unknowns, [3])
+        """Compute what is minimised at C unknowns (C, 3 + J), (C, R)."""
+        stiffness_and_set, arc_lengths = np.split(unknowns, [3], axis=1)
         prior = (stiffness_and_set - PRIOR_MEAN) / PRIOR_DEVIATION
         distances = rod.places(stiffness_and_set, arc_lengths) - resting.places
-        errors = np.nan_to_num(distances).ravel() / PLACE_ERROR_M
-        if length is None:
-            return np.concatenate([prior, errors])
-        length_error = (arc_lengths[-1] - length) / LENGTH_ERROR_M
-        return np.concatenate([prior, errors, [length_error]])
+        errors = np.nan_to_num(distances) / PLACE_ERROR_M
+        parts = [prior, errors.reshape(len(unknowns), -1)]
+        if length is not None:
+            parts.append((arc_lengths[:, -1:] - length) / LENGTH_ERROR_M)
+        return np.concatenate(parts, axis=1)
+
+    def slopes(unknowns: np.ndarray) -> np.ndarray:
+        """Difference the residuals by each unknown, (R, 3 + J), in one batch."""
+        moved = unknowns + np.diag(DIFFERENCE_STEP * np.ones_like(unknowns))
+        at_unknowns, *at_moved = residuals(np.vstack([unknowns, moved]))
+        return np.transpose(at_moved - at_unknowns) / DIFFERENCE_STEP
 
     start_lengths = chords * (length or chords[-1]) / chords[-1]
     shortest, longest = np.outer(ARC_LENGTH_BOUNDS, start_lengths)
@@ -169,10 +177,18 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
     fits = []
     for log_stiffness in START_LOG_STIFFNESS:
         start = np.concatenate([[log_stiffness, 0.0, 0.0], start_lengths])
-        fits.append(least_squares(residuals, start, bounds=(low, high)))
+        fits.append(
+            least_squares(
+                lambda unknowns: residuals(unknowns[None])[0],
+                start,
+                slopes,
+                bounds=(low, high),
+            )
+        )
     best = min(fits, key=lambda fit: float(fit.cost)).x
 
-    distances = np.linalg.norm(rod.places(best[:3], best[3:]) - resting.places, axis=-1)
+    (places,) = rod.places(best[None, :3], best[None, 3:])
+    distances = np.linalg.norm(places - resting.places, axis=-1)
     # The rod ends at the last point: what would be beyond it was fitted to its end
     on_string = np.minimum(best[3:], best[-1])
     arc_lengths = on_string * (length or best[-1]) / best[-1]
@@ -216,27 +232,41 @@ class HeavyRod:
     def places(
         self, stiffness_and_set: np.ndarray, arc_lengths: np.ndarray
     ) -> np.ndarray:
-        """Find where points rest from the hands on, (K, J, 2) [m].
+        """Find where points rest from the hands on, (C, K, J, 2) [m].
 
-        stiffness_and_set: as of PRIOR_MEAN. arc_lengths: (J,) [m], of the end last.
+        stiffness_and_set: as of PRIOR_MEAN, (C, 3). arc_lengths: (C, J) [m], of the end
+        last.
         """
-        log_bending, log_ratio, set_angle = stiffness_and_set
+        count, hands = len(arc_lengths), len(self.hands)
+        angles, lengths = hanging_shape(
+            self.string,
+            np.repeat(self._material(stiffness_and_set), hands, axis=0),
+            np.tile(self.hands, (count, 1)),
+            np.tile(self.turns, count),
+        )
+        steps = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * lengths[..., None]
+        nodes = np.insert(steps.cumsum(axis=1), 0, 0.0, axis=1)  # (C K, N, 2)
+        shares = arc_lengths / arc_lengths[:, -1:]
+        node_shares = np.linspace(0.0, 1.0, nodes.shape[1])
+        places = []
+        for share, curve in zip(np.repeat(shares, hands, axis=0), nodes, strict=True):
+            places.append(interpolate_rows(share, node_shares, curve))
+        by_candidate = np.reshape(places, (count, hands, -1, 2))
+        scale = arc_lengths[:, -1] / self.string.length
+        return np.asarray(scale[:, None, None, None] * by_candidate)
+
+    def _material(self, stiffness_and_set: np.ndarray) -> np.ndarray:
+        """Compute material properties of candidates (C, 3), a row for each."""
+        log_bending, log_ratio, set_angle = stiffness_and_set.T
         length = self.string.length
         bending = np.exp(log_bending) * length / REFERENCE_LENGTH_M
-        values = {p.name: p.start for p in self.string.parameters}
+        values = {
+            p.name: np.full(len(bending), p.start) for p in self.string.parameters
+        }
         values |= {
-            "axial_stiffness": INEXTENSIBLE,
+            "axial_stiffness": np.full(len(bending), INEXTENSIBLE),
             "bending_stiffness": bending,
             "grasp_stiffness": bending * np.exp(log_ratio),
             "rest_curvature.curvature": set_angle / length,
         }
-        row = np.array([list(values.values())])
-        material = np.repeat(self.string.material(row), len(self.hands), axis=0)
-        angles, lengths = hanging_shape(self.string, material, self.hands, self.turns)
-
-        steps = np.stack([np.cos(angles), np.sin(angles)], axis=-1) * lengths[..., None]
-        nodes = np.insert(steps.cumsum(axis=1), 0, 0.0, axis=1)
-        scale = arc_lengths[-1] / length
-        node_arc_lengths = np.linspace(0.0, arc_lengths[-1], nodes.shape[1])
-        places = [interpolate_rows(arc_lengths, node_arc_lengths, n) for n in nodes]
-        return np.asarray(scale * np.stack(places))
+        return self.string.material(np.column_stack([*values.values()]))
