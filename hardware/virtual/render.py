@@ -192,7 +192,8 @@ def _rectangle_sums(
     pixel = np.floor(first).astype(int)
     # the share of a rectangle that is in the next column and row
     beyond = np.clip((first + sides - pixel - 1) / np.maximum(sides, 1e-9), 0, 1)
-    sums = np.zeros(shape[0] * shape[1])
+    numbers = []
+    parts = []
     for next_column in (0, 1):
         for next_row in (0, 1):
             column = pixel[..., 0] + next_column
@@ -200,8 +201,10 @@ def _rectangle_sums(
             inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
             share = np.abs(1 - next_column - beyond[..., 0])
             share = share * np.abs(1 - next_row - beyond[..., 1])
-            number = row[inside] * shape[1] + column[inside]
-            sums += np.bincount(number, (areas * share)[inside], minlength=len(sums))
+            numbers.append(row[inside] * shape[1] + column[inside])
+            parts.append((areas * share)[inside])
+    pixels = shape[0] * shape[1]
+    sums = np.bincount(np.concatenate(numbers), np.concatenate(parts), pixels)
     return sums.reshape(shape)
 
 
