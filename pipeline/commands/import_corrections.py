@@ -189,7 +189,7 @@ def order_words(
     """Return the options that take joints in another order."""
     if maps_joints(options):
         return []
-    column_of = {c.role: c.column for c in tables.used_columns}
+    column_of = columns_by_role(tables)
     words: list[str] = []
     for name, number in zip(tables.joints, correction.order, strict=True):
         words += ["--map", f"{name}={column_of[tables.joints[number]]}"]
@@ -203,12 +203,17 @@ def count_words(
     """Return the options that take joints as counts of an encoder."""
     if maps_joints(options):
         return []
-    column_of = {c.role: c.column for c in tables.used_columns}
+    column_of = columns_by_role(tables)
     words = ["--counts"]
     if correction.zero:
         for name in tables.joints:
             words += ["--map", f"{name}={column_of[name]}-{correction.zero}"]
     return words
+
+
+def columns_by_role(tables: ImportedTables) -> dict[str, str]:
+    """Return the names of the columns that were used, by their role."""
+    return {column.role: column.column for column in tables.used_columns}
 
 
 def maps_joints(options: argparse.Namespace) -> bool:
