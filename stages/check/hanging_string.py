@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import least_squares
 
+from stringcast.stages.check.consistency.prediction import REFERENCE_LENGTH_M
 from stringcast.stages.check.consistency.record import REST_FRAMES
 from stringcast.stages.common import interpolate_rows, rms, step_lengths
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
@@ -25,12 +26,11 @@ PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand: nearer, it is at the
 ROD_POINTS = 81
 INEXTENSIBLE = 1e7  # [N/(m kg)]
 # The rod's logarithms of bending stiffness at 0.3 m and ten mass points [N m/(rad kg)]
-# and of the grasp's over it, and its set from end to end [rad]: normal priors, bounds
-PRIOR_MEAN = np.array([0.0, 0.0, 0.0])
+# and of the grasp's over it, and its set from end to end [rad]: normal priors about
+# zero, and bounds
 PRIOR_DEVIATION = np.array([3.0, 3.0, 0.7])
 LOWEST = np.array([-7.0, -6.0, -3.0])
 HIGHEST = np.array([7.0, 6.0, 3.0])
-REFERENCE_LENGTH_M = 0.3
 START_LOG_STIFFNESS = (-3.0, 0.0, 2.0, 4.0)
 ARC_LENGTH_BOUNDS = (0.3, 3.0)  # in those of a limp string
 LENGTH_ERROR_M = 1e-4  # of a stated length
@@ -153,7 +153,7 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
     def residuals(unknowns: np.ndarray) -> np.ndarray:
         """Compute what is minimised at C unknowns (C, 3 + J), (C, R)."""
         stiffness_and_set, arc_lengths = np.split(unknowns, [3], axis=1)
-        prior = (stiffness_and_set - PRIOR_MEAN) / PRIOR_DEVIATION
+        prior = stiffness_and_set / PRIOR_DEVIATION
         distances = rod.places(stiffness_and_set, arc_lengths) - resting.places
         errors = np.nan_to_num(distances) / PLACE_ERROR_M
         parts = [prior, errors.reshape(len(unknowns), -1)]
@@ -163,7 +163,7 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
 
     def slopes(unknowns: np.ndarray) -> np.ndarray:
         """Difference the residuals by each unknown, (R, 3 + J), in one batch."""
-        moved = unknowns + np.diag(DIFFERENCE_STEP * np.ones_like(unknowns))
+        moved = unknowns + DIFFERENCE_STEP * np.eye(len(unknowns))
         at_unknowns, *at_moved = residuals(np.vstack([unknowns, moved]))
         return np.transpose(at_moved - at_unknowns) / DIFFERENCE_STEP
 
@@ -234,8 +234,8 @@ class HeavyRod:
     ) -> np.ndarray:
         """Find where points rest from the hands on, (C, K, J, 2) [m].
 
-        stiffness_and_set: as of PRIOR_MEAN, (C, 3). arc_lengths: (C, J) [m], of the end
-        last.
+        stiffness_and_set: as of PRIOR_DEVIATION, (C, 3). arc_lengths: (C, J) [m], of
+        the end last.
         """
         count, hands = len(arc_lengths), len(self.hands)
         angles, lengths = hanging_shape(
