@@ -52,9 +52,9 @@ def _resting_tables(dataset: CheckedDataset) -> tuple[pd.DataFrame, pd.DataFrame
     for trial in dataset.with_points():
         if trial.starts_moving:
             continue
-        names = trial.points["s"].map("{:.4f}".format)
+        places = trial.points["s"].round(4)
         columns = trial.points[["t", "x", "y"]]
-        points.append(columns.assign(trial=trial.name, point=names))
+        points.append(columns.assign(trial=trial.name, point=places))
         hand = pd.DataFrame(trial.pose[:1], columns=["x", "y", "theta"])
         hands.append(hand.assign(trial=trial.name))
     if not points:
