@@ -44,20 +44,24 @@ def mark_place_columns(
         Of each trial; zeros if it cannot be simulated.
     """
     length = model.string.length
+    counts = [count_half_waves(trial, length) for trial in trials]
+    if not any(counts):
+        return [np.zeros((2 * len(trial.s), 0)) for trial in trials]
     nearer = []
     for trial in trials:
         nearer.append(replace(trial, s=np.maximum(trial.s - STEP_M, 0.0)))
     simulated = zip(
         trials,
+        counts,
         measured_points(model, trials, values[None]),
         measured_points(model, nearer, values[None]),
         strict=True,
     )
     columns = []
-    for trial, points, nearer_points in simulated:
+    for trial, count, points, nearer_points in simulated:
         step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
         slope = np.nan_to_num((points[0] - nearer_points[0]) / step[:, None])
-        half_waves = np.arange(1, count_half_waves(trial, length) + 1)
+        half_waves = np.arange(1, count + 1)
         shifts = PLACE_ERROR_M * np.sin(np.pi * trial.s[:, None] / length * half_waves)
         moved = slope[:, :, None] * shifts[:, None, :]  # (N, 2, M)
         scaled = moved / trial.sigma[:, None, None]
