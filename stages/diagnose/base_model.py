@@ -174,15 +174,14 @@ def widen_ranges_with_causes(
     # The correction's centre is given by exponents of the narrow range: no range has it
     data = replace(data, mesh_correction=None)
     narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.scale_indices)
+    left_m = unexplained_tip_rms(data, narrow)
     values = parameter_values(hypothesis.parameters, narrow.chi[None])
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
         start = parameter_exponents(widened.parameters, values)
         refitted = fit_hypothesis(data, widened, start, fit.scale_indices)
         explained = mean_explained_fraction(
-            unexplained_tip_rms(data, narrow),
-            unexplained_tip_rms(data, refitted),
-            criteria.tip_tolerance_m,
+            left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m
         )
         if explained >= criteria.min_explained_fraction:
             log.info("the range of %s is too narrow", name)
