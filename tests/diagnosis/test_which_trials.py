@@ -72,30 +72,17 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
 
     def prepare(model, observations, tolerance_m, rng, starts, progress, step, keep):
         kept.append(tuple(keep))
-        hypothesis = SimpleNamespace(model=None, causes=())
-        return SimpleNamespace(
-            chaotic_trials=() if keep else ("t2",),
-            data=SimpleNamespace(trials=()),
-            trials=[],
-            discretisation_uncertainty_m=np.zeros(0),
-            base_fit=SimpleNamespace(hypothesis=hypothesis),
-        )
+        return prepared_trials(chaotic=() if keep else ("t2",))
 
     def prepare_further(prepared, trials, fit):
         return None, np.full(len(trials), uncertainty_m)
 
-    def fit(*causes):
-        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
-
     def select(state, *given):
         prepared = state.prepared
-        yield SelectionState(prepared, fit("wind"))
+        yield SelectionState(prepared, fit_with("wind"))
         # where a cause resolves the trial, no more are sought without it
         assert prepared.chaotic_trials == tuple(rejected)
-        yield SelectionState(prepared, fit("wind", "clamp"))
-
-    def keep_causes(prepared, found, *given):
-        return SelectionState(prepared, found.fit)
+        yield SelectionState(prepared, fit_with("wind", "clamp"))
 
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
@@ -146,33 +133,20 @@ def test_a_trial_that_is_chaotic_with_causes_returns_once_if_others_resolve_it(
 
     def prepared(names, chaotic=()):
         trials = [SimpleNamespace(name=name) for name in names]
-        hypothesis = SimpleNamespace(model=None, causes=())
-        return SimpleNamespace(
-            chaotic_trials=chaotic,
-            data=SimpleNamespace(trials=trials),
-            trials=trials,
-            discretisation_uncertainty_m=np.array([0.0, 0.0, 9e-3][: len(names)]),
-            base_fit=SimpleNamespace(hypothesis=hypothesis),
-        )
+        return prepared_trials(trials, [0.0, 0.0, 9e-3][: len(names)], chaotic)
 
     def prepare(model, observations, *given):
         prepared_with.append([o.trial for o in observations])
         return prepared(prepared_with[-1])
 
-    def fit(causes):
-        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
-
     def select(state, *given):
         causes = state.fit.hypothesis.causes
         begun_with.append(causes)
         further = ("wind", "clamp")[: len(causes) + 1]
-        yield SelectionState(state.prepared, fit(further))
+        yield SelectionState(state.prepared, fit_with(*further))
 
     def leave_out(state, names, criteria):
         return SelectionState(prepared(["t0", "t1"], tuple(names)), state.fit)
-
-    def keep_causes(prepared, found, *given):
-        return SelectionState(prepared, found.fit)
 
     def prepare_further(prepared, trials, fit):
         is_resolved = returns and fit.hypothesis.causes == ("wind", "clamp")
@@ -199,22 +173,11 @@ def test_a_search_begins_again_in_short_steps_if_long_ones_are_chaotic(monkeypat
         steps_s.append(step_s)
         trials = [SimpleNamespace(name=o.trial) for o in observations]
         third_m = 9e-3 if step_s > STEP_S else 1e-4
-        hypothesis = SimpleNamespace(model=None, causes=())
-        return SimpleNamespace(
-            chaotic_trials=(),
-            data=SimpleNamespace(trials=trials),
-            trials=trials,
-            discretisation_uncertainty_m=np.array([0.0, 0.0, third_m]),
-            base_fit=SimpleNamespace(hypothesis=hypothesis),
-        )
+        return prepared_trials(trials, [0.0, 0.0, third_m])
 
     def select(state, *given):
         begun_with.append(state.fit.hypothesis.causes)
-        hypothesis = SimpleNamespace(causes=("wind",))
-        yield SelectionState(state.prepared, SimpleNamespace(hypothesis=hypothesis))
-
-    def keep_causes(prepared, found, *given):
-        return SelectionState(prepared, found.fit)
+        yield SelectionState(state.prepared, fit_with("wind"))
 
     steps_s, begun_with = [], []
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
@@ -238,27 +201,14 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
 
     def prepare(model, observations, *given):
         searched.append([o.trial for o in observations])
-        hypothesis = SimpleNamespace(model=None, causes=())
-        return SimpleNamespace(
-            chaotic_trials=(),
-            data=SimpleNamespace(trials=()),
-            trials=[],
-            discretisation_uncertainty_m=np.zeros(0),
-            base_fit=SimpleNamespace(hypothesis=hypothesis),
-        )
-
-    def fit(*causes):
-        return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
+        return prepared_trials()
 
     def select(state, *given):
         if state.fit.hypothesis.causes:
             yield state
         else:
             cause = "wrong" if "t2" in searched[-1] else "right"
-            yield SelectionState(state.prepared, fit(cause))
-
-    def keep_causes(prepared, found, *given):
-        return SelectionState(prepared, found.fit)
+            yield SelectionState(state.prepared, fit_with(cause))
 
     def find_outlying(state, criteria):
         return {"t2": "of another motion"} if "t2" in searched[-1] else {}
@@ -289,19 +239,11 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
 
     def prepare(given, observations, *others):
         searched.append(given)
-        hypothesis = SimpleNamespace(model=None, causes=())
-        return SimpleNamespace(
-            chaotic_trials=(),
-            data=SimpleNamespace(trials=()),
-            trials=[],
-            discretisation_uncertainty_m=np.zeros(0),
-            base_fit=SimpleNamespace(hypothesis=hypothesis),
-        )
+        return prepared_trials()
 
     def select(state, *given):
         begun_with.append(state.fit.hypothesis.causes)
-        hypothesis = SimpleNamespace(causes=("tip_mass",))
-        yield SelectionState(state.prepared, SimpleNamespace(hypothesis=hypothesis))
+        yield SelectionState(state.prepared, fit_with("tip_mass"))
 
     def widen(data, fit, criteria):
         return wider if len(searched) == 1 else None
@@ -312,6 +254,28 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
     assert [each.string.ranges for each in searched] == [model.string.ranges, wide]
     assert begun_with == [(), ()]
     assert causes == ("tip_mass",)
+
+
+def prepared_trials(trials=(), uncertainty_m=(), chaotic=()):
+    """Stand for prepared trials, with a base model that has no causes."""
+    hypothesis = SimpleNamespace(model=None, causes=())
+    return SimpleNamespace(
+        chaotic_trials=chaotic,
+        data=SimpleNamespace(trials=trials),
+        trials=list(trials),
+        discretisation_uncertainty_m=np.array(uncertainty_m),
+        base_fit=SimpleNamespace(hypothesis=hypothesis),
+    )
+
+
+def fit_with(*causes):
+    """Stand for a fit with these causes."""
+    return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
+
+
+def keep_causes(prepared, found, *given):
+    """Take the causes that were found before as they are."""
+    return SelectionState(prepared, found.fit)
 
 
 def settle(
