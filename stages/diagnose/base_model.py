@@ -28,8 +28,6 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import (
     Parameter,
-    parameter_exponents,
-    parameter_values,
 )
 
 log = logging.getLogger(__name__)
@@ -61,9 +59,7 @@ def fit_base_model(
     chi : numpy.ndarray, shape (P,)
         Exponents of the best fit.
     """
-    parameters = likelihood.parameters
-    starting_values = np.array([p.start for p in parameters])
-    configured = parameter_exponents(parameters, starting_values)
+    configured = likelihood.model.exponents_of({})
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
     sample = sample_trials(likelihood)
@@ -106,14 +102,13 @@ def widen_range_if_supported(
     wider = _in_wider_range(likelihood.model, parameter, chi[index])
     if wider is None:
         return likelihood, chi
-    values = parameter_values(likelihood.parameters, chi[None])
-    start = parameter_exponents(wider.parameters, values)
-    widened = with_estimated_noise(likelihood.with_model(wider), start[0])
+    start = wider.exponents_of(likelihood.model.values_at(chi))
+    widened = with_estimated_noise(likelihood.with_model(wider), start)
 
     # The gain of the log-likelihood at the best scale of the noise, as in `solver`
-    before = widened.residuals(start)[0]
+    before = widened.residuals(start[None])[0]
     after = solver.fit_least_squares(
-        widened, start, WIDENING_ITERATIONS, STRONG_LOG_EVIDENCE
+        widened, start[None], WIDENING_ITERATIONS, STRONG_LOG_EVIDENCE
     )
     gain = 0.5 * len(before) * np.log(np.mean(before**2) / after.loss[0])
     if gain > STRONG_LOG_EVIDENCE:
@@ -175,11 +170,10 @@ def widen_ranges_with_causes(
     data = replace(data, mesh_correction=None)
     narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.scale_indices)
     left_m = unexplained_tip_rms(data, narrow)
-    values = parameter_values(hypothesis.parameters, narrow.chi[None])
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
-        start = parameter_exponents(widened.parameters, values)
-        refitted = fit_hypothesis(data, widened, start, fit.scale_indices)
+        start = widened.model.exponents_of(narrow.values)
+        refitted = fit_hypothesis(data, widened, start[None], fit.scale_indices)
         explained = mean_explained_fraction(
             left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m
         )

@@ -201,14 +201,8 @@ def with_causes_found_before(
     """Fit the causes that were found in fewer trials to the prepared ones."""
     base = prepared.base_fit
     hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
-    # By values: the ranges may be others with more trials
-    known = {}
-    values = found.fit.values
-    for parameter in hypothesis.parameters:
-        if parameter.name in values:
-            value = np.asarray(values[parameter.name])
-            known[parameter.name] = float(parameter.chi(value))
-    start = hypothesis.exponents_from(known)
+    # The ranges may be others with more trials
+    start = hypothesis.model.exponents_of(found.fit.values)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
     steps = _without_fits(found.steps, prepared.data)

@@ -24,7 +24,6 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import (
     Parameter,
-    parameter_exponents,
     parameter_values,
 )
 
@@ -92,7 +91,7 @@ class Interval:
 def start_chi(model: Model, previous: Estimate | None) -> np.ndarray:
     """Choose the start of a search, (P,): the previous estimate or the start values."""
     known = {} if previous is None else previous.values()
-    return parameter_exponents(model.parameters, model.values(known))
+    return model.exponents_of(known)
 
 
 def build_search_estimate(

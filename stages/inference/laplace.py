@@ -96,8 +96,7 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         """The parameters' values by name."""
-        pairs = zip(self.hypothesis.parameters, self.chi, strict=True)
-        return {p.name: float(p.value(chi)) for p, chi in pairs}
+        return self.hypothesis.model.values_at(self.chi)
 
     def cause_parameters(self, cause: type[Effect]) -> dict[str, float]:
         """Look up a cause's parameters by their own names."""

@@ -9,7 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from stringcast.stages.model.effect import Effect
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import (
+    Parameter,
+    parameter_exponents,
+    parameter_values,
+)
 
 
 class Parametrised:
@@ -41,3 +45,16 @@ class Parametrised:
         A parameter that is not named takes its start value.
         """
         return np.array([named.get(p.name, p.start) for p in self.parameters])
+
+    def values_at(self, chi: np.ndarray) -> dict[str, float]:
+        """Return values by name at exponents (P,)."""
+        values = parameter_values(self.parameters, chi)
+        return dict(zip(self.names, values.tolist(), strict=True))
+
+    def exponents_of(self, named: Mapping[str, float]) -> np.ndarray:
+        """Return exponents (P,) of values by name, each within its range here.
+
+        So values are carried to a model with other ranges. A parameter that is not
+        named takes its start value.
+        """
+        return parameter_exponents(self.parameters, self.values(named))

@@ -81,13 +81,3 @@ def diagnose_trials(model, observations, starts, held_out=(), motions=1, **setti
         design=design,
         **settings,
     )
-
-
-def true_exponents(hypothesis, values):
-    """Convert true parameter values, by name, to exponents of a hypothesis, (P,)."""
-    known = {}
-    for parameter in hypothesis.parameters:
-        if parameter.name in values:
-            value = np.asarray(values[parameter.name])
-            known[parameter.name] = float(parameter.chi(value))
-    return hypothesis.exponents_from(known)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import simulate_trial, swing_angles, true_exponents
+from synthetic_trials import simulate_trial, swing_angles
 
 from stringcast.stages.diagnose import common_data
 from stringcast.stages.diagnose.discretisation import (
@@ -53,7 +53,7 @@ def test_evidence_is_the_same_wherever_the_data_of_a_search_were_corrected(
 
     The error model is that of one of them.
     """
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     own = prepared_at(trials, hypothesis, chi)
     other = prepared_at(trials, hypothesis, np.clip(chi + 0.15, 0.0, 1.0))
     with_same_errors = []

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import CRITERIA, simulate_trial, swing_angles, true_exponents
+from synthetic_trials import CRITERIA, simulate_trial, swing_angles
 
 from stringcast.stages.check.overview import detection_limit_text
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
@@ -45,7 +45,7 @@ def simulate_swings(arm, model, values, seed):
 
 def fit_from_truth(data, hypothesis):
     """Fit a hypothesis from the true string without causes."""
-    start = true_exponents(hypothesis, TRUTH)
+    start = hypothesis.model.exponents_of(TRUTH)
     return fit_hypothesis(data, hypothesis, start[None], NO_DISCREPANCY)
 
 
@@ -53,7 +53,7 @@ def fit_from_truth(data, hypothesis):
 def prepared(arm, model):
     trials = simulate_swings(arm, model, TRUTH, 0)
     hypothesis = Hypothesis(model)
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)
@@ -114,7 +114,7 @@ def test_an_effect_is_evident_from_the_limit_on(arm, model, limits, factor, is_e
     for seed in range(1, 6):
         simulated = simulate_swings(arm, windy.model, truth, seed)
         trials = [replace(trial, model=model) for trial in simulated]
-        data = attach_discrepancy_model(trials, base, true_exponents(base, TRUTH))
+        data = attach_discrepancy_model(trials, base, base.model.exponents_of(TRUTH))
         parent = fit_from_truth(data, base)
         gain = fixed_leave_one_out_gain(parent, fit_from_truth(data, windy))
         evident.append(gain > CRITERIA.min_log_bayes_factor)

@@ -21,7 +21,6 @@ from stringcast.stages.inference.laplace import best_exponents, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.solver import MIN_GAIN
-from stringcast.stages.model.parameter import parameter_exponents
 
 PLACES = np.array([8, 14, 20])
 OTHER_STRING = {**TRUTH, "bending_stiffness": 20.0, "linear_drag": 2.0}
@@ -36,7 +35,7 @@ def fit_trials(arm, strings):
         observed = simulate_trial(f"t{k}", arm, model, strings[k], angles, PLACES, rng)
         trials.append(prepare_trial(model, observed))
     hypothesis = Hypothesis(model)
-    chi = parameter_exponents(model.parameters, model.values(TRUTH)[None])[0]
+    chi = model.exponents_of(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     no_discrepancy = np.zeros(len(trials), dtype=int)
     return data, fit_hypothesis(data, hypothesis, chi[None], no_discrepancy)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import SIGMA, simulate_trial, swing_angles, true_exponents
+from synthetic_trials import SIGMA, simulate_trial, swing_angles
 
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
@@ -27,7 +27,7 @@ def hypothesis(arm):
 
 @pytest.fixture(scope="module")
 def true(hypothesis):
-    return true_exponents(hypothesis, TRUTH)
+    return hypothesis.model.exponents_of(TRUTH)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import SWING, sample_curve, true_exponents
+from synthetic_trials import SWING, sample_curve
 
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.data.diagnoses import HELD_OUT
@@ -94,7 +94,7 @@ def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_t
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)
     hypothesis = Hypothesis(model)
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     prediction = TrialPrediction(hypothesis, chi, np.zeros(0), 0.0)
     state = trial.initial_state
     turned = replace(trial, initial_state=replace(state, angle=state.angle + 0.5))

@@ -10,7 +10,6 @@ from synthetic_trials import (
     SIGMA,
     simulate_trial,
     swing_angles,
-    true_exponents,
 )
 
 from stringcast.stages.diagnose import preparation
@@ -47,7 +46,6 @@ from stringcast.stages.inference.search import (
 from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.parameter import parameter_exponents
 
 STATED_SIGMA_M = 1e-3
 NOISE = SIGMA / STATED_SIGMA_M
@@ -143,7 +141,7 @@ def test_a_trial_of_scattered_points_is_not_emptied(model):
 @pytest.fixture(scope="module")
 def prepared(model, trials):
     hypothesis = Hypothesis(model)
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3))
@@ -257,8 +255,7 @@ def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model)
     stiff = TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]}
     data = TrialData(simulate_swings(arm, model, [TRUTH] * 3 + [stiff]))
     likelihood = Likelihood(data, model)
-    start = np.array([p.start for p in model.parameters])
-    configured = parameter_exponents(model.parameters, start)
+    configured = model.exponents_of({})
     rng = np.random.default_rng(3)
     drawn = rng.uniform(size=(64, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
@@ -320,7 +317,7 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
         ranges = {**string.ranges, stiffness.name: replace(stiffness, high=high)}
         limited = replace(model, string=replace(string, ranges=ranges))
         base = Hypothesis(limited)
-        chi = true_exponents(base, TRUTH)
+        chi = base.model.exponents_of(TRUTH)
         bending = limited.names.index("bending_stiffness")
         chi[bending] = min(chi[bending], 1.0)
         fit = fit_hypothesis(
@@ -344,7 +341,7 @@ def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
     parameters = {p.name: p for p in string.parameters}
     ranges = {"axial_stiffness": parameters["axial_stiffness"]}
     base = Hypothesis(replace(model, string=replace(string, ranges=ranges)))
-    chi = true_exponents(base, TRUTH)
+    chi = base.model.exponents_of(TRUTH)
     axial = model.names.index("axial_stiffness")
     chi[axial] = 1.0
     centre = chi.copy()
@@ -369,8 +366,8 @@ def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
     """
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
     truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
-    chi = true_exponents(hypothesis, truth)
-    moved_chi = true_exponents(hypothesis, truth | {"maxwell_slip.slip": 0.03})
+    chi = hypothesis.model.exponents_of(truth)
+    moved_chi = hypothesis.model.exponents_of(truth | {"maxwell_slip.slip": 0.03})
     trials = tuple(replace(trial, model=hypothesis.model) for trial in trials)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)

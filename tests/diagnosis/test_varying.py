@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import simulate_trial, swing_angles, true_exponents
+from synthetic_trials import simulate_trial, swing_angles
 
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
@@ -34,7 +34,7 @@ def simulate_curved_strings(arm, hypothesis, offsets):
         values = shared | {CURVATURE: MEAN_CURVATURE + offsets[k]}
         trial = simulate_trial(f"t{k}", arm, model, values, angles, places, rng)
         trials.append(prepare_trial(model, trial))
-    chi = true_exponents(hypothesis, shared)
+    chi = hypothesis.model.exponents_of(shared)
     base = Hypothesis(hypothesis.base)
     plain = attach_discrepancy_model(trials, base, chi[hypothesis.base_indices])
     fit = evaluate_fit(plain, hypothesis, chi)

@@ -11,7 +11,6 @@ from synthetic_trials import (
     diagnose_trials,
     simulate_trial,
     swing_angles,
-    true_exponents,
 )
 
 from stringcast.stages.diagnose import cause_search, held_out_gain, selection_state
@@ -104,7 +103,7 @@ def test_what_was_proposed_stays_known_without_a_chaotic_trial(arm):
         )
         trial = prepare_trial(model, measured)
         trials.append(replace(trial, sigma=np.full(len(trial.s), 1e-3)))
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)
     prepared = PreparedData(data, fit, tuple(trials), tuple(trials), 0, uncertainty_m)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import CRITERIA, true_exponents
+from synthetic_trials import CRITERIA
 
 from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.common import InterruptRequest
@@ -195,7 +195,7 @@ def prepared(arm):
     trials = simulate_swings(arm, windy, TRUTH | {"wind.along_x": 1.0}, 0)
     trials = with_model(trials, model)
     hypothesis = Hypothesis(model)
-    chi = true_exponents(hypothesis, TRUTH)
+    chi = hypothesis.model.exponents_of(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)

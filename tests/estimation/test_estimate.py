@@ -34,7 +34,6 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_tr
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import parameter_exponents
 from stringcast.stages.model.string import String
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -101,7 +100,7 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
 def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypatch):
     model = Model(STRING, arm, camera)
     targets = matching_targets(model, [observed(3)], MATCHING)
-    chi = parameter_exponents(model.parameters, model.values(TRUTH))
+    chi = model.exponents_of(TRUTH)
     search = Candidates("none", chi[None], np.ones(1))
     interval = Interval(chi, chi, np.ones(len(chi), bool), "")
     counts = []
@@ -353,7 +352,7 @@ def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypa
                 model, [observed(0)], previous, seed=0, cast_number=1, **settings
             )
     assert starts[0] is None
-    true = parameter_exponents(model.parameters, STRING.values(TRUTH))
+    true = model.exponents_of(TRUTH)
     np.testing.assert_allclose(starts[1], true)
 
 

@@ -13,6 +13,7 @@ from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parametrised import Parametrised
 from stringcast.stages.model.string import String
 
 TipMass, CameraRotation = find_effects(["tip_mass", "camera_rotation"])
@@ -265,13 +266,16 @@ def test_a_covariance_holds_what_is_known_beforehand():
 
 
 def test_a_fit_names_its_numbers():
-    model = SimpleNamespace(names=("a", "tip_mass.mass"))
     mass = Parameter("tip_mass.mass", "1", "", low=1.0, high=100.0, start=1.0)
     own = SimpleNamespace(name="mass")
     cause = SimpleNamespace(
         parameters=(own,), qualified_name=lambda parameter: "tip_mass." + parameter.name
     )
-    hypothesis = SimpleNamespace(model=model, parameters=(UNIT, mass))
+
+    class TwoParameters(Parametrised):
+        parameters = (UNIT, mass)
+
+    hypothesis = SimpleNamespace(model=TwoParameters())
 
     def fit(last):
         residuals = [np.zeros(3), np.array([0.0, last])]

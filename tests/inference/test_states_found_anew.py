@@ -22,7 +22,6 @@ from stringcast.stages.inference.initial_modes import (
 from stringcast.stages.inference.laplace import evaluate_fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import INITIAL_MODES, prepare_trial
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import parameter_exponents
 
 NOISE = 7e-4  # [m]
 
@@ -44,9 +43,7 @@ def hypothesis(trial):
 
 @pytest.fixture(scope="module")
 def true(hypothesis):
-    return parameter_exponents(
-        hypothesis.parameters, hypothesis.model.values(NAMED)[None]
-    )[0]
+    return hypothesis.model.exponents_of(NAMED)
 
 
 def begun(trial, *off):
