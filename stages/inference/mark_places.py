@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.inference.batch import measured_points
+from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.model import Model
 from stringcast.stages.string_places import track_places
@@ -47,26 +47,24 @@ def mark_place_columns(
     counts = [count_half_waves(trial, length) for trial in trials]
     if not any(counts):
         return [np.zeros((2 * len(trial.s), 0)) for trial in trials]
-    nearer = []
-    for trial in trials:
-        nearer.append(replace(trial, s=np.maximum(trial.s - STEP_M, 0.0)))
-    simulated = zip(
-        trials,
-        counts,
-        measured_points(model, trials, values[None]),
-        measured_points(model, nearer, values[None]),
-        strict=True,
-    )
+    strings = simulate_trials(model, trials, values[None])
     columns = []
-    for trial, count, points, nearer_points in simulated:
-        step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
-        slope = np.nan_to_num((points[0] - nearer_points[0]) / step[:, None])
+    for trial, count, string in zip(trials, counts, strings, strict=True):
+        tangents = _tangents(trial, string)
         half_waves = np.arange(1, count + 1)
         shifts = PLACE_ERROR_M * np.sin(np.pi * trial.s[:, None] / length * half_waves)
-        moved = slope[:, :, None] * shifts[:, None, :]  # (N, 2, M)
+        moved = tangents[:, :, None] * shifts[:, None, :]  # (N, 2, M)
         scaled = moved / trial.sigma[:, None, None]
         columns.append(scaled.reshape(2 * len(trial.s), -1))
     return columns
+
+
+def _tangents(trial: PreparedTrial, string: np.ndarray) -> np.ndarray:
+    """Difference a simulated string (1, F, n, 2) along itself at each point, (N, 2)."""
+    nearer = replace(trial, s=np.maximum(trial.s - STEP_M, 0.0))
+    step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
+    moved = trial.sample_at_points(string)[0] - nearer.sample_at_points(string)[0]
+    return np.nan_to_num(moved / step[:, None])
 
 
 def count_half_waves(trial: PreparedTrial, length: float) -> int:

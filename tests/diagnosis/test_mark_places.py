@@ -90,10 +90,11 @@ def test_no_mark_moves_in_a_trial_that_cannot_be_simulated(
     prepare, hypothesis, true, monkeypatch
 ):
     def diverge(model, trials, values):
-        return [np.full((1, len(trial.s), 2), np.nan) for trial in trials]
+        shape = (1, len(trial.times), model.string.points, 2)
+        return [np.full(shape, np.nan) for _ in trials]
 
     trial = prepare([MIDDLE, TIP])
-    monkeypatch.setattr(mark_places, "measured_points", diverge)
+    monkeypatch.setattr(mark_places, "simulate_trials", diverge)
     columns = columns_of(trial, hypothesis, true)
     assert columns.shape == (2 * len(trial.s), 1)
     assert not columns.any()
