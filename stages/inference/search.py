@@ -26,12 +26,8 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.solver import (
     MAX_ITERATIONS,
-    MIN_GAIN,
-    SMALLEST_FLOAT,
-    SolverRuns,
     different_places,
     fit_least_squares,
-    iterate_runs,
 )
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.kept_results import keep_results
@@ -152,15 +148,9 @@ def _fit_whole_trials(
     Only the best of the starts (R, P) is wanted: those far behind it are given up.
     """
     with_noise = with_estimated_noise(likelihood, starts[0])
-    runs = SolverRuns.start(with_noise, starts)
-    for _ in range(iterations):
-        if not runs.active.any():
-            break
-        iterate_runs(with_noise, runs, MIN_GAIN)
-        loss = np.maximum(runs.loss, SMALLEST_FLOAT)
-        log_ratio = np.log(loss / loss.min())
-        behind = 0.5 * runs.residual.shape[1] * log_ratio  # in log-likelihood, (R,)
-        runs.active &= behind <= MAX_PROMISES_BEHIND * runs.promised_gains
+    runs = fit_least_squares(
+        with_noise, starts, iterations, max_promises_behind=MAX_PROMISES_BEHIND
+    )
     return np.asarray(runs.chi[np.argmin(runs.loss)])
 
 

@@ -162,6 +162,12 @@ class SolverRuns:
         """Gains of the log-likelihood that the best steps promise, (R,)."""
         return np.asarray(0.5 * self.residual.shape[1] * self.promise)
 
+    @property
+    def log_likelihood_behind(self) -> np.ndarray:
+        """By how much the log-likelihood is below that of the best run, (R,)."""
+        loss = np.maximum(self.loss, SMALLEST_FLOAT)
+        return np.asarray(0.5 * self.residual.shape[1] * np.log(loss / loss.min()))
+
     def select(self, run: int) -> SolverRuns:
         """Select one of the runs."""
         values = {}
@@ -185,6 +191,7 @@ def fit_least_squares(
     starts: np.ndarray,
     max_iterations: int = MAX_ITERATIONS,
     min_gain: float = MIN_GAIN,
+    max_promises_behind: float = np.inf,
 ) -> SolverRuns:
     """Minimise the loss from several starts side by side.
 
@@ -196,12 +203,18 @@ def fit_least_squares(
         Iterations at most.
     min_gain
         A step that gains less of the log-likelihood is slow.
+    max_promises_behind
+        A run that is behind the best by more than so many times what its slopes promise
+        is given up.
     """
     runs = SolverRuns.start(problem, starts)
     for _ in range(max_iterations):
         if not runs.active.any():
             break
         iterate_runs(problem, runs, min_gain)
+        promised = np.maximum(runs.promised_gains, SMALLEST_FLOAT)
+        is_hopeless = runs.log_likelihood_behind > max_promises_behind * promised
+        runs.active &= ~is_hopeless
     return runs
 
 
