@@ -159,40 +159,30 @@ def _search_after_new_cause(
     further causes are selected in the same trials.
     """
     state = reached.state
-    search, with_resolved = _search_with_resolved_trials(search, state)
-    chaotic = _trials_chaotic_with_causes(state, search.settings.criteria)
-    settings = _settings_with_causes(state, search.settings, chaotic)
-    if settings is not search.settings:
-        search = replace(search, settings=settings)
-        return search, search.begin()
-    if with_resolved is not None:
-        return search, with_resolved
-    if chaotic:
-        return _search_without_chaotic_trials(search, reached, chaotic)
-    return search, None
-
-
-def _search_with_resolved_trials(
-    search: _Search, state: SelectionState
-) -> tuple[_Search, SearchProgress | None]:
-    """Search with chaotic trials that the causes resolve.
-
-    They are left out for good, and None is returned, if the fit to all trials leaves
-    any of them chaotic.
-    """
     criteria = search.settings.criteria
     resolved = _trials_resolved_with_causes(
         state, search.trials.searched_trials, criteria.tip_tolerance_m
     )
-    if not resolved:
-        return search, None
-    log.info("resolved with the causes: %s", ", ".join(resolved))
     search = replace(search, returned=(*search.returned, *resolved))
-    together = search.begin(state)
-    if not _trials_chaotic_with_causes(together.state, criteria):
-        return search, together
-    log.info("chaotic again: %s", ", ".join(resolved))
-    return replace(search, trials=search.trials.excluding_chaotic(resolved)), None
+
+    # Other steps or ranges make all fits anew: nothing is fitted before they are chosen
+    chaotic = _trials_chaotic_with_causes(state, criteria)
+    settings = _settings_with_causes(state, search.settings, chaotic)
+    if settings is not search.settings:
+        search = replace(search, settings=settings)
+        return search, search.begin()
+
+    if resolved:
+        log.info("resolved with the causes: %s", ", ".join(resolved))
+        together = search.begin(state)
+        if not _trials_chaotic_with_causes(together.state, criteria):
+            return search, together
+        log.info("chaotic again, left out for good: %s", ", ".join(resolved))
+        search = replace(search, trials=search.trials.excluding_chaotic(resolved))
+
+    if chaotic:
+        return _search_without_chaotic_trials(search, reached, chaotic)
+    return search, None
 
 
 def _search_without_chaotic_trials(

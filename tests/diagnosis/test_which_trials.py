@@ -230,15 +230,21 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
 def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
     arm, monkeypatch
 ):
-    """The search in the narrow range may have led to other causes."""
+    """The search in the narrow range may have led to other causes.
+
+    The third trial is chaotic without a cause, and returns at once in the wide range.
+    """
     model = ordinary(arm)
     grasp = {p.name: p for p in model.string.parameters}["grasp_stiffness"]
     wide = {**model.string.ranges, grasp.name: replace(grasp, high=30 * grasp.high)}
     wider = replace(model, string=replace(model.string, ranges=wide))
 
-    def prepare(given, observations, *others):
-        searched.append(given)
-        return prepared_trials()
+    def prepare(given, observations, tolerance, rng, starts, progress, step, keep):
+        searched.append((given.string.ranges, tuple(keep)))
+        return prepared_trials(chaotic=() if keep else ("t2",))
+
+    def prepare_further(prepared, trials, fit):
+        return None, np.zeros(len(trials))
 
     def select(state, *given):
         begun_with.append(state.fit.hypothesis.causes)
@@ -249,8 +255,9 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
 
     searched, begun_with = [], []
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
+    monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
     _, _, causes = settle(monkeypatch, prepare, select, model=model, widen=widen)
-    assert [each.string.ranges for each in searched] == [model.string.ranges, wide]
+    assert searched == [(model.string.ranges, ()), (wide, ("t2",))]
     assert begun_with == [(), ()]
     assert causes == ("tip_mass",)
 
