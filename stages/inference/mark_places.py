@@ -64,7 +64,7 @@ def _tangents(trial: PreparedTrial, string: np.ndarray) -> np.ndarray:
     nearer = replace(trial, s=np.maximum(trial.s - STEP_M, 0.0))
     step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
     moved = trial.sample_at_points(string)[0] - nearer.sample_at_points(string)[0]
-    return np.nan_to_num(moved / step[:, None])
+    return np.asarray(np.nan_to_num(moved / step[:, None]))
 
 
 def count_half_waves(trial: PreparedTrial, length: float) -> int:
