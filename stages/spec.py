@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import pandas as pd
 
@@ -22,6 +22,29 @@ if TYPE_CHECKING:
 EXTENDED = "extended.yaml"  # the model that a run made, for `model_from=`
 # settings from which the model is made
 MODEL = ("arm", "camera", "string", "effects", "parameter_values")
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+# From settings to numbers of strings, by the setting that decides each
+StringCounts = Callable[[Mapping[str, Any]], Mapping[str, float]]
+_STRING_COUNTS: dict[Callable[..., Any], StringCounts] = {}
+
+
+def declare_string_counts(counts: StringCounts) -> Callable[[FunctionT], FunctionT]:
+    """Declare how many strings a stage's function simulates; its cost is then known."""
+
+    def register(function: FunctionT) -> FunctionT:
+        _STRING_COUNTS[function] = counts
+        return function
+
+    return register
+
+
+def string_counts(
+    function: Callable[..., Any], settings: Mapping[str, Any]
+) -> Mapping[str, float]:
+    """Return the declared numbers of strings; empty if there are none."""
+    counts = _STRING_COUNTS.get(function)
+    return counts(settings) if counts else {}
 
 
 @dataclass(frozen=True)

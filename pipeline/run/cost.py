@@ -1,7 +1,8 @@
 """Estimate what the steps of a run cost, and ask before one takes hours.
 
 The estimates are rough: processor time is proportional to the points and steps of all
-simulated strings, or to the pixels of all frames. Functions of plugins count as free.
+simulated strings, or to the pixels of all frames. A function of a stage declares how
+many strings it simulates (`stages.spec`); one that declares none counts as free.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
 from stringcast.pipeline.run.provenance import setting_of
 from stringcast.pipeline.settings.composition import Settings, UserError
 from stringcast.pipeline.settings.stage_registry import stages
+from stringcast.stages.plugins import load_object
+from stringcast.stages.spec import string_counts
 
 LIMIT = "max_core_hours"
 ESTIMATION = "estimate"  # the stage to which `trials_used` applies
@@ -27,11 +30,6 @@ HOUR_S = 3600.0
 # Measured with the paper's strings on one core (tests/benchmarks/speed/README.md).
 POINT_STEP_S = 2e-8  # [s] a mass point in one step of the simulation
 PIXEL_S = 3e-8  # [s] a pixel of a frame, rendered or read
-# Simulated strings for each unit of a setting, counted in default runs.
-STRINGS_PER_RACING_MOTION = 12
-STRINGS_PER_GENERATION = 48  # finalists of the race times candidates of each
-STRINGS_PER_ITERATION = 10  # slopes by each unknown, and the step itself
-STRINGS_PER_DIAGNOSIS_START = 250
 
 
 @dataclass(frozen=True)
@@ -113,9 +111,11 @@ def estimate_costs(experiment: Experiment) -> list[StepCost]:
         trials = _stored_trials(Path(config["trials"]))
     costs = []
     for name in names:
-        block = config.get(name)
         stage = stages()[name]
-        counts = _count_strings(block) if isinstance(block, Mapping) else {}
+        counts: Mapping[str, float] = {}
+        if name in experiment.stages:
+            block = config[name]
+            counts = string_counts(load_object(block["_target_"]), block)
         if counts:
             costs.append(_simulation_cost(experiment, name, counts, trials))
         elif stage.takes_frames or stage.moves_arm:
@@ -180,34 +180,6 @@ def _stored_trials(folder: Path) -> Trials:
     frames = max((len(film.t) for film in data.films.values()), default=0)
     total = f"{sum(seconds):.3g} s in {len(seconds)} trials of {folder}"
     return Trials(tuple(seconds), frames, {"trials": total})
-
-
-def _count_strings(block: Settings) -> dict[str, float]:
-    """Return how many strings a stage simulates, for each setting that decides it.
-
-    Empty for a function that simulates none, or of a plugin.
-    """
-    match block.get("_target_"):
-        case "stages.generate.generate.generate":
-            return {"attempts": block["attempts"]}
-        case "stages.generate.robust.generate":
-            searches = block["max_restarts"]
-            refined = block["cma_iterations"] * block["string_samples"]
-            return {
-                "motions": STRINGS_PER_RACING_MOTION * block["motions"] * searches,
-                "cma_iterations": STRINGS_PER_GENERATION * refined * searches,
-                "validation": block["validation"],
-            }
-        case (
-            "stages.estimate.random_search.estimate" | "stages.estimate.cma_es.estimate"
-        ):
-            return {"candidates": block["candidates"]}
-        case "stages.estimate.least_squares.estimate":
-            refined = STRINGS_PER_ITERATION * block["starts"] * block["iterations"]
-            return {"screening": block["screening"], "starts": refined}
-        case "stages.diagnose.diagnose.diagnose":
-            return {"starts": STRINGS_PER_DIAGNOSIS_START * block["starts"]}
-    return {}
 
 
 def _simulation_cost(

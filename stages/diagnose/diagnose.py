@@ -69,12 +69,13 @@ from stringcast.stages.kept_results import use_any_store
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.library import check_effect_names, effects_by_name
 from stringcast.stages.model.model import Model
-from stringcast.stages.spec import StageCall
+from stringcast.stages.spec import StageCall, declare_string_counts
 
 log = logging.getLogger(__name__)
 
 # keeps the random motions apart from the random starts of fits
 DESIGN_RANDOM_STREAM = 1
+STRINGS_PER_START = 250  # simulated strings, counted in default runs
 BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
@@ -104,6 +105,7 @@ def run(call: StageCall, trials: TrialSet) -> Diagnosis:
     return diagnosis
 
 
+@declare_string_counts(lambda given: {"starts": STRINGS_PER_START * given["starts"]})
 def diagnose(
     model: Model,
     observations: Sequence[Observation],

@@ -28,12 +28,14 @@ from stringcast.stages.estimate.result import (
     start_chi,
 )
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import declare_string_counts
 
 # The first mean keeps off the bounds: about a point there half of the draws lie beyond
 MEAN_RANGE = (0.05, 0.95)
 REJECTED_COST = 1.0  # of a run that diverged: more than any other, as E is at least 0
 
 
+@declare_string_counts(lambda given: {"candidates": given["candidates"]})
 def estimate(
     model: Model,
     observations: Sequence[Observation],

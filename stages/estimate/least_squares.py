@@ -7,9 +7,9 @@ blocks of time (`inference.covariance`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -46,11 +46,22 @@ from stringcast.stages.inference.search import (
 )
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import declare_string_counts
 
 UNDETERMINED_WIDTH = 0.3  # of an interval in chi that determines nothing
 MISFIT_RATIO = 1.5  # times the points' sigma: a larger residual is more than noise
+STRINGS_PER_ITERATION = 10  # slopes by each unknown, and the step itself
 
 
+def _string_counts(settings: Mapping[str, Any]) -> Mapping[str, float]:
+    iterations = settings["starts"] * settings["iterations"]
+    return {
+        "screening": settings["screening"],
+        "starts": STRINGS_PER_ITERATION * iterations,
+    }
+
+
+@declare_string_counts(_string_counts)
 def estimate(
     model: Model,
     observations: Sequence[Observation],

@@ -22,8 +22,10 @@ from stringcast.stages.estimate.result import (
     start_chi,
 )
 from stringcast.stages.model.model import Model
+from stringcast.stages.spec import declare_string_counts
 
 
+@declare_string_counts(lambda given: {"candidates": given["candidates"]})
 def estimate(
     model: Model,
     observations: Sequence[Observation],

@@ -40,7 +40,7 @@ from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
-from stringcast.stages.spec import StageCall
+from stringcast.stages.spec import StageCall, declare_string_counts
 
 # motions simulated at once, 90 MB of a string of 57 points for 1.5 s
 BATCH_SIZE = 64
@@ -133,6 +133,7 @@ def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Mo
     return generated
 
 
+@declare_string_counts(lambda given: {"attempts": given["attempts"]})
 def generate(
     model: Model,
     target: Target,

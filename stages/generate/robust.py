@@ -6,9 +6,9 @@ in the choice, give the hit probability of the chosen motion.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -52,12 +52,16 @@ from stringcast.stages.hit_test import check_reach
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
+from stringcast.stages.spec import declare_string_counts
 
 stats = LazyModule("scipy.stats")
 
 FINALIST_COUNT = 4  # winners of the race that are refined
 RUNNER_UP_COUNT = 8  # winners of the race that may be chosen unrefined
 SUFFICIENT_HIT_SHARE = 0.5  # of the samples: no further search is made
+# Simulated strings, counted in default runs
+STRINGS_PER_RACING_MOTION = 12
+STRINGS_PER_GENERATION = 48  # finalists of the race times candidates of each
 
 
 @dataclass(frozen=True)
@@ -100,6 +104,17 @@ class SearchEffort(SettingsGroup):
     validation: Annotated[int, Field(ge=10)]
 
 
+def _string_counts(settings: Mapping[str, Any]) -> Mapping[str, float]:
+    searches = settings["max_restarts"]
+    refined = settings["cma_iterations"] * settings["string_samples"]
+    return {
+        "motions": STRINGS_PER_RACING_MOTION * settings["motions"] * searches,
+        "cma_iterations": STRINGS_PER_GENERATION * refined * searches,
+        "validation": settings["validation"],
+    }
+
+
+@declare_string_counts(_string_counts)
 def generate(
     model: Model,
     target: Target,
