@@ -22,8 +22,12 @@ from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table
 from stringcast.data.table_files import with_trial
 from stringcast.data.trial_faults import MIN_OVERLAP_S
+from stringcast.pipeline.commands.imported_measurements import (
+    BenchHints,
+    imported_grasp_poses,
+    measurements_of_tables,
+)
 from stringcast.stages.check.clocks import SAMPLING_REMEDY, describe_sampling
-from stringcast.stages.check.consistency.record import arm_poses
 from stringcast.stages.check.hanging_string import (
     HangingString,
     find_resting_points,
@@ -38,53 +42,12 @@ from stringcast.stages.report.formatting import format_count
 FORMAT_JOINTS = 3
 MIN_FRAMES = 5  # of a trial: fewer show no motion
 MAX_HANGING_MISFIT = 0.05  # of the length: a heavy rod in a right hand is nearer
-EXAMPLE_LINKS_M = ("0.25", "0.20", "0.135")
 # stands for an arm where poses of the hand are given
 UNUSED_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 METADATA_HEADER = """\
 # Written by `import`. All is in metres, seconds, radians and kilograms.
 # What each name means: data/README.md.
 """
-
-
-@dataclass(frozen=True)
-class BenchHints:
-    """The user's description of the bench.
-
-    Attributes
-    ----------
-    length
-        Length of the string [m].
-    links, base
-        Lengths of the arm's links and place of joint 1 [m].
-    point_arc_lengths
-        Arc length of each point by its name [m].
-    fit_clock
-        Whether the clocks of arm and camera are aligned by the motion.
-    clock_error
-        How far the stated offset of the clocks may be off [s]; None if that is unknown.
-    geometry_is_measured
-        Whether a motion that no string in this hand seems to make is to be believed.
-    starts_moving
-        Whether the string moves already when trials begin.
-    hand_turn
-        Angle added to the hand's direction [rad].
-    fps, px_per_m, origin_px
-        Frame rate [1/s], scale [px/m] and origin [px] of films.
-    """
-
-    length: float | None = None
-    links: tuple[float, ...] = ()
-    base: tuple[float, float] = (0.0, 0.0)
-    point_arc_lengths: Mapping[str, float] = field(default_factory=dict)
-    fit_clock: bool = False
-    clock_error: float | None = None
-    geometry_is_measured: bool = False
-    starts_moving: bool = False
-    hand_turn: float = 0.0
-    fps: float | None = None
-    px_per_m: float | None = None
-    origin_px: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +101,7 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
     tables = leave_out_single_frames(tables, notes)
-    points, length = locate_points(tables, grasp, bench, notes)
+    points, length = locate_points(tables, bench, notes)
     added_times = {}
     if bench.fit_clock:
         added_times = align_roughly(points, grasp, length)
@@ -210,33 +173,8 @@ def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]
     }
 
 
-def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFrame:
-    """Return poses of the grasp, measured or computed from joint angles and links."""
-    motion = tables.motion
-    times = motion[["trial", "t"]]
-    if not tables.joints:
-        theta = motion["theta"] + bench.hand_turn
-        return times.assign(x=motion["x"], y=motion["y"], theta=theta)
-    count = len(tables.joints)
-    if len(bench.links) != count:
-        example = ",".join((EXAMPLE_LINKS_M * count)[:count])
-        files = {c.file.name for c in tables.used_columns if c.role in tables.joints}
-        stated = f"--links gives {format_count(len(bench.links), 'length')}"
-        if not bench.links:
-            stated = "no --links are given"
-        raise DataError(
-            f"{', '.join(sorted(files))}: the log holds the angles of "
-            f"{format_count(count, 'joint')}, and {stated}. Give one length for each "
-            f"joint, base first: --links {example} --base 0,0. If some joints do not "
-            "turn in the plane, name those that do: --map q1=<column> "
-            "--map q2=<column>."
-        )
-    x, y, theta = arm_poses(motion[tables.joints].to_numpy(), bench.links, bench.base).T
-    return times.assign(x=x, y=y, theta=theta)
-
-
 def locate_points(
-    tables: ImportedTables, grasp: pd.DataFrame, bench: BenchHints, notes: list[str]
+    tables: ImportedTables, bench: BenchHints, notes: list[str]
 ) -> tuple[pd.DataFrame, float]:
     """Return points with arc lengths, and the string's length [m].
 
@@ -258,7 +196,7 @@ def locate_points(
         length = bench.length
         arc_lengths = {names[0]: length}
     else:
-        arc_lengths, length = measure_hanging_points(points, grasp, bench, notes)
+        arc_lengths, length = measure_hanging_points(tables, bench, notes)
     known = points[points["point"].isin(list(arc_lengths))]
     known = known.assign(s=known["point"].map(arc_lengths).astype(float))
     return select_columns(known), length
@@ -276,15 +214,14 @@ def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
 
 
 def measure_hanging_points(
-    points: pd.DataFrame, grasp: pd.DataFrame, bench: BenchHints, notes: list[str]
+    tables: ImportedTables, bench: BenchHints, notes: list[str]
 ) -> tuple[dict[str, float], float]:
     """Measure where points are along the string as it hangs at rest, and note it.
 
     Returns the arc length of each point by its name, and the string's length [m].
     """
-    resting = None
-    if not bench.starts_moving:
-        resting = find_resting_points(points, grasp)
+    measured = measurements_of_tables(tables, bench)
+    resting = find_resting_points(measured) if measured else None
     if resting is None:
         require_length(bench)
         raise DataError(

@@ -11,11 +11,9 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands.dataset_import import BenchHints, imported_grasp_poses
 from stringcast.pipeline.commands.import_corrections import (
     must_confirm,
     option_words,
@@ -25,19 +23,20 @@ from stringcast.pipeline.commands.import_options import (
     argument_parser,
     equivalent_command,
 )
+from stringcast.pipeline.commands.imported_measurements import (
+    BenchHints,
+    measurements_of_tables,
+)
 from stringcast.stages.check.consistency.check import (
     describe_contradiction,
     describe_fit,
 )
 from stringcast.stages.check.consistency.corrections.directions import PointDirections
 from stringcast.stages.check.consistency.judge import Verdict, judge
-from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.consistency.record import Measurements
 from stringcast.stages.check.consistency.search import Proposal, find_answer
-from stringcast.stages.check.measured import drop_spikes
 
-MIN_ROWS = 5  # of a table: fewer show nothing
 MAX_FLAT_SHARE = 0.02  # of the other coordinate's range: one that never changes
-MAX_PLACES = 6  # of stated arc length that are looked at
 TABLE_WORDS = {
     "points": "points of the string",
     "arm": "the arm's log",
@@ -87,66 +86,6 @@ def propose_geometry(
     if len(changes) > 1:
         refuse_ambiguity(verdict, proposals, changes, options)
     return changes[0]
-
-
-def measurements_of_tables(
-    tables: ImportedTables, bench: BenchHints
-) -> Measurements | None:
-    """Return what files hold as measurements; None if it cannot be judged."""
-    grasp = imported_grasp_poses(tables, bench)  # refuses missing links
-    if tables.points.empty:
-        return None
-    points = tables.points
-    if "valid" in points:
-        points = points[points["valid"].fillna(True).astype(bool)]
-    points = points[np.isfinite(points[["t", "x", "y"]]).all(axis=1)]
-    motion = tables.motion if tables.joints else grasp
-    columns = tables.joints or ["x", "y", "theta"]
-    motion = motion[np.isfinite(motion[["t", *columns]]).all(axis=1)]
-    recordings = []
-    for name, rows in motion.groupby("trial"):
-        log = rows.drop_duplicates("t").sort_values("t")
-        tracks = tracks_of(points[points["trial"] == name], bench)
-        if len(log) < MIN_ROWS or not tracks:
-            continue
-        values = log[columns].to_numpy(float)
-        joints, hand = (values, None) if tables.joints else (None, values)
-        t = log["t"].to_numpy()
-        moving = bench.starts_moving
-        recordings.append(Recording(str(name), t, joints, hand, tracks, moving))
-    if not recordings:
-        return None
-    return Measurements(
-        tuple(recordings),
-        bench.links,
-        bench.base,
-        bench.length,
-        base_is_measured=bench.geometry_is_measured,
-    )
-
-
-def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:
-    """Return the tracks of a trial's points, of a few if their arc length is stated."""
-    tracks = []
-    groups: list[tuple[str, float | None, pd.Series]] = []
-    if "s" in points:
-        places = np.sort(points["s"].round(4).unique())
-        if len(places) > MAX_PLACES:
-            wanted = np.array([0.25, 0.5, 1.0]) * np.quantile(places, 0.95)
-            nearest = np.abs(places[:, None] - wanted).argmin(axis=0)
-            places = places[np.unique(nearest)]
-        for s in places:
-            groups.append((f"{s:g}", float(s), points["s"].round(4) == s))
-    else:
-        for name in points["point"].unique():
-            s = bench.point_arc_lengths.get(name)
-            groups.append((str(name), s, points["point"] == name))
-    for name, s, is_here in groups:
-        rows = points[is_here].drop_duplicates("t").sort_values("t")
-        if len(rows) >= MIN_ROWS:
-            xy = rows[["x", "y"]].to_numpy(float)
-            tracks.append(Track(name, s, *drop_spikes(rows["t"].to_numpy(), xy)))
-    return tuple(tracks)
 
 
 # --- options -----------------------------------------------------------------

@@ -15,7 +15,7 @@ from stringcast.data.importers.reader import ColumnHints
 from stringcast.pipeline.cli.command_line_hints import MAX_LENGTH_M
 from stringcast.pipeline.cli.terminal import program_name
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.commands.dataset_import import BenchHints
+from stringcast.pipeline.commands.imported_measurements import BenchHints
 from stringcast.pipeline.settings.composition import UserError
 
 HELP_EXAMPLES = """\

@@ -11,11 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from scipy.optimize import least_squares
 
 from stringcast.stages.check.consistency.prediction import REFERENCE_LENGTH_M
-from stringcast.stages.check.consistency.record import REST_FRAMES
+from stringcast.stages.check.consistency.record import Measurements
 from stringcast.stages.common import interpolate_rows, rms, step_lengths
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
 from stringcast.stages.model.statics.equilibrium import hanging_shape
@@ -94,47 +93,30 @@ class HangingString:
         return max(self.arc_lengths.values())
 
 
-def find_resting_points(
-    points: pd.DataFrame, grasp: pd.DataFrame
-) -> RestingPoints | None:
-    """Find where points rest before the first motion.
+def find_resting_points(measured: Measurements) -> RestingPoints | None:
+    """Find where points rest before the first motion, in trials that begin at rest.
 
-    Parameters
-    ----------
-    points
-        Columns trial, t, point, x, y [m], and valid if there are bad ones.
-    grasp
-        Columns trial, x, y [m], theta [rad], in the order of time.
-
-    Returns
-    -------
-    RestingPoints or None
-        None if no point away from the grasp was seen in a known hand.
+    None if no point was seen there away from the grasp.
     """
-    is_known = np.isfinite(points[["x", "y"]]).all(axis=1)
-    if "valid" in points:
-        # Some trackers do not say it
-        is_known &= points["valid"].fillna(True).astype(bool)
-    known = points[is_known]
-    by_time = known.sort_values("t", kind="stable")
-    first = by_time.groupby(["trial", "point"]).head(REST_FRAMES)
-    rest = first.groupby(["trial", "point"])[["x", "y"]].median()
-    known_poses = grasp.dropna(subset=["x", "y", "theta"])
-    hands = known_poses.groupby("trial")[["x", "y", "theta"]].first()
-    trials = hands.index.intersection(rest.index.unique("trial"))[:MAX_TRIALS]
-    if not len(trials):
+    resting = [r for r in measured.recordings if not r.starts_moving][:MAX_TRIALS]
+    hands = [measured.pose(recording)[0] for recording in resting]
+    by_point: dict[str, np.ndarray] = {}
+    for number, recording in enumerate(resting):
+        for track in recording.tracks:
+            places = by_point.setdefault(
+                track.point, np.full((len(resting), 2), np.nan)
+            )
+            places[number] = track.rest_place - hands[number][:2]
+    if not by_point:
         return None
-    by_point = rest.unstack("point").reindex(trials).dropna(axis=1, how="all")
-    names = by_point["x"].columns
-    places = np.stack([by_point["x"], by_point["y"]], axis=-1)
-    poses = hands.loc[trials].to_numpy()
-    places = places - poses[:, None, :2]
+    places = np.stack([*by_point.values()], axis=1)  # (K, J, 2)
     distances = np.nanmedian(np.linalg.norm(places, axis=-1), axis=0)
     if distances.max() < PLACE_ERROR_M:
         return None
-    nearest_first = np.argsort(distances)
-    ordered = tuple(str(names[j]) for j in nearest_first)
-    return RestingPoints(ordered, poses, places[:, nearest_first])
+    nearest_first = np.argsort(distances, kind="stable")
+    names = [*by_point]
+    ordered = tuple(names[point] for point in nearest_first)
+    return RestingPoints(ordered, np.array(hands), places[:, nearest_first])
 
 
 def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingString:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import pandas as pd
-
+from stringcast.stages.check.consistency.dataset import measurements_of
+from stringcast.stages.check.consistency.record import MAX_PLACES
 from stringcast.stages.check.finding import Finding, warning
 from stringcast.stages.check.hanging_string import (
     find_resting_points,
@@ -14,7 +14,6 @@ from stringcast.stages.check.hanging_string import (
 from stringcast.stages.check.measured import CheckedDataset
 
 MIN_TRIALS = 3  # that begin at rest: fewer bend the string in too few ways
-MAX_MARKS = 6  # with the tip; more are a line, measured in the picture
 # Errors of the place that are found, in metres and of the length: right marks are found
 # within 1 mm, also in wind, with heavy tips, and in hands that turn too far
 MIN_SHIFT_M = 3e-3
@@ -24,10 +23,12 @@ MAX_MISFIT = 0.01  # of the length: where the string hangs otherwise, it says no
 
 def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find marks that hang farther along the string, or less far, than stated."""
-    points, hands = _resting_tables(dataset)
-    if points.empty or not 2 <= points["point"].nunique() <= MAX_MARKS:
-        return
-    resting = find_resting_points(points, hands)
+    places = set[float]()
+    for trial in dataset.with_points():
+        places |= {*trial.points["s"].round(4)}
+    if not 2 <= len(places) <= MAX_PLACES:
+        return  # more are a line, measured in the picture
+    resting = find_resting_points(measurements_of(dataset))
     if resting is None or len(resting.hands) < MIN_TRIALS:
         return
     stated = [float(name) for name in resting.names]
@@ -43,20 +44,3 @@ def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
                 "s; `import` finds it if no --at is given"
             )
             yield warning(dataset.points_file, "s", statement, remedy)
-
-
-def _resting_tables(dataset: CheckedDataset) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Collect the points and hands of trials at rest; points are named by their s."""
-    points = []
-    hands = []
-    for trial in dataset.with_points():
-        if trial.starts_moving:
-            continue
-        places = trial.points["s"].round(4)
-        columns = trial.points[["t", "x", "y"]]
-        points.append(columns.assign(trial=trial.name, point=places))
-        hand = pd.DataFrame(trial.pose[:1], columns=["x", "y", "theta"])
-        hands.append(hand.assign(trial=trial.name))
-    if not points:
-        return pd.DataFrame(), pd.DataFrame()
-    return pd.concat(points), pd.concat(hands)

@@ -5,10 +5,10 @@ cos(theta), and shares nothing with the rod that is fitted.
 """
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.integrate import cumulative_trapezoid, solve_bvp
 
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.hanging_string import (
     RestingPoints,
     find_resting_points,
@@ -123,40 +123,26 @@ def test_no_point_is_beyond_the_end():
     assert found["one"] <= found["other"]
 
 
-def test_points_at_the_grasp_alone_tell_nothing():
-    points = pd.DataFrame(
-        {"trial": ["a"], "t": 0.0, "point": "clamp", "x": 2e-4, "y": 0.0}
-    )
-    hands = pd.DataFrame({"trial": ["a"], "x": [0.0], "y": [0.0], "theta": [0.0]})
-    assert find_resting_points(points, hands) is None
-
-
-def test_trials_count_whose_tracker_does_not_rate_its_points_or_with_late_poses():
-    """A point that is not valid does not count, nor a hand without a direction."""
-    trials = ["rated", "bad", "unrated", "late", "late", "no direction"]
-    points = pd.DataFrame({"trial": trials, "t": 0.0, "point": "tip", "x": 0.0})
-    points = points.assign(y=-0.3, valid=[True, False, *[np.nan] * 4])
-    hands = pd.DataFrame({"trial": trials, "x": 0.0, "y": 0.0, "theta": 1.0})
-    hands.loc[3, ["x", "theta"]] = 0.7, np.nan
-    hands.loc[5, "theta"] = np.nan
-    found = find_resting_points(points, hands)
-    assert len(found.hands) == 3  # rated, unrated, late
-    np.testing.assert_allclose(found.hands, np.tile([0.0, 0.0, 1.0], (3, 1)))
+def recording(name, hand_x, places, starts_moving=False):
+    """Return 20 frames of points below a hand, which all move after half of them."""
+    t = np.arange(20.0)
+    moved = np.where(t > 10, 0.3, 0.0)[:, None] * [1.0, 0.0]
+    hand = np.tile([hand_x, 0.0, 1.0], (20, 1))
+    tracks = []
+    for point, y in places.items():
+        tracks.append(Track(point, None, t, np.array([hand_x, y]) + moved))
+    return Recording(name, t, None, hand, tuple(tracks), starts_moving)
 
 
 def test_points_rest_where_they_were_at_first_seen_from_the_hand():
-    """The nearest comes first, and what was seen in no frame is not there."""
-    rows = []
-    for trial, hand_x in (("a", 0.1), ("b", 0.2), ("c", 0.0)):
-        for number in range(20):
-            moved = 0.3 if number > 10 else 0.0
-            rows.append((trial, number, "tip", hand_x + moved, -0.3))
-            mid_y = np.nan if trial == "b" else -0.1
-            rows.append((trial, number, "mid", hand_x + moved, mid_y))
-            rows.append((trial, number, "never", np.nan, np.nan))
-    points = pd.DataFrame(rows, columns=["trial", "t", "point", "x", "y"])
-    hands = pd.DataFrame({"trial": ["a", "b"], "x": [0.1, 0.2], "y": 0.0, "theta": 1.0})
-    found = find_resting_points(points, hands)
+    """The nearest comes first, and a string that moves at first rests nowhere."""
+    both = {"tip": -0.3, "mid": -0.1}
+    recordings = [
+        recording("a", 0.1, both),
+        recording("moving", 0.0, both, starts_moving=True),
+        recording("b", 0.2, {"tip": -0.3}),
+    ]
+    found = find_resting_points(Measurements(tuple(recordings)))
     assert found.names == ("mid", "tip")
     np.testing.assert_allclose(found.hands, [[0.1, 0, 1], [0.2, 0, 1]])
     np.testing.assert_allclose(found.places[0], [[0, -0.1], [0, -0.3]], atol=1e-12)
@@ -164,9 +150,13 @@ def test_points_rest_where_they_were_at_first_seen_from_the_hand():
     np.testing.assert_allclose(found.chords, [0.1, 0.3])
 
 
-def test_a_string_seen_in_no_known_hand_rests_nowhere():
-    points = pd.DataFrame(
-        {"trial": ["a"], "t": 0.0, "point": "tip", "x": 0.0, "y": 0.0}
-    )
-    hands = pd.DataFrame({"trial": ["b"], "x": [0.0], "y": [0.0], "theta": [0.0]})
-    assert find_resting_points(points, hands) is None
+@pytest.mark.parametrize(
+    "recordings",
+    [
+        [],
+        [recording("at the grasp", 0.0, {"clamp": 2e-4})],
+        [recording("moving", 0.0, {"tip": -0.3}, starts_moving=True)],
+    ],
+)
+def test_nothing_rests_where_no_point_is_seen_at_rest_away_from_the_grasp(recordings):
+    assert find_resting_points(Measurements(tuple(recordings))) is None

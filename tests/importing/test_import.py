@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from math import pi
 
 import cv2
@@ -17,7 +18,6 @@ from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import gather_tables
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.dataset_import import (
-    BenchHints,
     convert_recordings,
     write_dataset,
 )
@@ -28,6 +28,10 @@ from stringcast.pipeline.commands.import_options import (
     read_bench_hints,
     read_clock,
     read_column_hints,
+)
+from stringcast.pipeline.commands.imported_measurements import (
+    BenchHints,
+    measurements_of_tables,
 )
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.consistency.record import arm_poses
@@ -490,6 +494,19 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         convert_recordings(
             read(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))
         )
+
+
+def test_bad_points_and_a_hand_without_direction_are_no_measurements(tmp_path):
+    """Points that a tracker does not rate count."""
+    t = np.arange(10) / 100
+    arm = write(tmp_path, "arm.csv", t=t, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
+    tables = read(arm, write(tmp_path, "track.csv", t=t, tip_x=0.1, tip_y=-0.1))
+    points = tables.points.assign(valid=[False, False, True, *[None] * 7])
+    motion = tables.motion.assign(theta=[np.nan, *[0.0] * 9])
+    known = replace(tables, points=points, motion=motion)
+    (recording,) = measurements_of_tables(known, BenchHints()).recordings
+    np.testing.assert_allclose(recording.t, t[1:])
+    np.testing.assert_allclose(recording.tracks[0].t, t[2:])
 
 
 @pytest.mark.parametrize(("end", "is_doubted"), [(0.3, False), (0.25, True)])

@@ -8,7 +8,14 @@ import numpy as np
 
 from stringcast.stages.check.clocks import is_restless, trials_in_seconds
 from stringcast.stages.check.consistency.judge import Verdict, judge
-from stringcast.stages.check.consistency.record import Measurements, Recording, Track
+from stringcast.stages.check.consistency.record import (
+    RELATIVE_PLACES,
+    TIP_QUANTILE,
+    Measurements,
+    Recording,
+    Track,
+    choose_places,
+)
 from stringcast.stages.check.measured import (
     MIN_TRACK_FRAMES,
     CheckedDataset,
@@ -20,10 +27,6 @@ from stringcast.stages.string_places import (
     points_at_arc_lengths,
     track_places,
 )
-
-TIP_QUANTILE = 0.95  # so many points lie no further along than the tip
-# places that are looked at, in the arc length of the tip
-RELATIVE_PLACES = (0.25, 0.5, 1.0)
 
 
 @lru_cache(maxsize=4)
@@ -75,10 +78,10 @@ def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
     tracks = [track for track in all_tracks if len(track) >= MIN_TRACK_FRAMES]
     if not tracks:
         return ()
-    end = float(np.quantile(s, TIP_QUANTILE, method="lower"))
-    wanted = np.array(RELATIVE_PLACES) * end
     found = []
     if places_wander(s, all_tracks):
+        end = float(np.quantile(s, TIP_QUANTILE, method="lower"))
+        wanted = np.array(RELATIVE_PLACES) * end
         places = wanted[wanted >= s[tracks[0]].min()]
         places[-1:] -= 1e-9 * end
         lines = points_at_arc_lengths(frame, s, xy, places)  # (F, places, 2)
@@ -90,10 +93,9 @@ def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
         return tuple(found)
 
     arc_lengths = np.array([np.median(s[track]) for track in tracks])
-    nearest = np.abs(arc_lengths[:, None] - wanted).argmin(axis=0)
-    names = {int(number): f"{place}" for place, number in enumerate(nearest)}
-    for number, name in sorted(names.items()):
+    for number in choose_places(arc_lengths):
         points_of_place = tracks[number]
         track = drop_spikes(times[frame[points_of_place]], xy[points_of_place])
-        found.append(Track(name, float(arc_lengths[number]), *track))
+        place = round(float(arc_lengths[number]), 4)
+        found.append(Track(f"{place:g}", float(arc_lengths[number]), *track))
     return tuple(found)
