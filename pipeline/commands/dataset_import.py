@@ -185,8 +185,9 @@ def locate_points(
         return POINTS.empty().assign(trial=""), require_length(bench)
     refuse_unknown_points(points, bench)
     if "s" in points:
-        largest_s = float(points["s"].max())
-        length = bench.length or note_length(largest_s, "the largest s", notes)
+        length = bench.length or float(points["s"].max())
+        if not bench.length:
+            notes.append(describe_inferred_length(length, "the largest s"))
         return select_columns(points), length
     names = points["point"].unique()
     if bench.point_arc_lengths:
@@ -230,16 +231,20 @@ def measure_hanging_points(
         )
     hanging = fit_hanging_string(resting, bench.length)
     agreement = describe_hanging_string(hanging)
-    length = bench.length or note_length(hanging.length, agreement, notes)
-    if len(hanging.arc_lengths) > 1:
+    length = bench.length or round(hanging.length, 4)
+    if not bench.length:
+        notes.append(describe_inferred_length(length, agreement))
+    # To a tenth of a millimetre, and none beyond the end
+    arc_lengths = {n: min(round(s, 4), length) for n, s in hanging.arc_lengths.items()}
+    if len(arc_lengths) > 1:
         places = []
-        for name, s in hanging.arc_lengths.items():
+        for name, s in arc_lengths.items():
             places.append(f"{name or 'point'} {s:.3f} m")
         notes.append(
             f"the points are placed along the string, the last at its end ({agreement})"
             f": {', '.join(places)}. Give their places with --at"
         )
-    return hanging.arc_lengths, length
+    return arc_lengths, length
 
 
 def require_length(bench: BenchHints) -> float:
@@ -266,13 +271,12 @@ def describe_hanging_string(hanging: HangingString) -> str:
     return text
 
 
-def note_length(length: float, source: str, notes: list[str]) -> float:
-    """Note that a length was inferred, and return it to a tenth of a millimetre."""
-    notes.append(
+def describe_inferred_length(length: float, source: str) -> str:
+    """Say that a length [m] is inferred, and from what."""
+    return (
         f"the string seems to be {length:.3f} m long ({source}). "
         "Measure it, and give it with --length"
     )
-    return round(length, 4)
 
 
 def select_columns(points: pd.DataFrame) -> pd.DataFrame:

@@ -116,7 +116,11 @@ def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:
-    """Return the median estimate of the trials that show it; NaN if none does."""
-    estimates = [estimate_gravity(trial) for trial in trials]
+    """Return the median estimate of the trials that show it; NaN if none does.
+
+    A string that stays at rest does not fall at all.
+    """
+    moving = [trial for trial in trials if trial.string_onset is not None]
+    estimates = [estimate_gravity(trial) for trial in moving]
     known = [gravity for gravity in estimates if np.isfinite(gravity)]
     return float(np.median(known)) if known else float("nan")

@@ -603,6 +603,20 @@ def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
     assert findings_in(dirty.write(tmp_path)) == []
 
 
+@pytest.mark.parametrize("share", [0.5, 0.7])
+def test_marks_of_a_string_of_unknown_length_may_all_be_before_its_end(
+    dirty, tmp_path, share
+):
+    """Nothing but the length is missing: no unit or arm is to be corrected."""
+    dirty.points = dirty.points[dirty.points["s"] <= share * dirty.length]
+    marks = np.sort(dirty.points["s"].unique())[[-2, -1]]
+    dirty.points = dirty.points[dirty.points["s"].isin(marks)]
+    no_length(dirty)
+    told = {f.field for f in findings_in(dirty.write(tmp_path))}
+    assert "string.length" in told
+    assert told <= {"string.length", "s"}
+
+
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
     assert len(set(names)) == len(names) == 36
@@ -657,6 +671,21 @@ def test_a_string_that_falls_as_nothing_does_is_told(
     assert any(said in f.statement and advice in f.remedy for f in told), [
         f.sentence for f in told
     ]
+
+
+def test_a_string_that_stays_at_rest_does_not_fall(dirty, tmp_path):
+    """A stiff one sticks out of the hand, and shows no gravity at all."""
+    dirty.with_poses()
+    for table, places in ((dirty.grasp, "trial"), (dirty.points, ["trial", "s"])):
+        first = table.groupby(places)[["x", "y"]].transform("first")
+        table[["x", "y"]] = first
+    dirty.grasp["theta"] = 0.0
+    hand = dirty.grasp.groupby("trial")[["x", "y"]].first()
+    dirty.points["x"] = dirty.points["trial"].map(hand["x"]) + 0.8 * dirty.points["s"]
+    dirty.points["y"] = dirty.points["trial"].map(hand["y"]) - 0.6 * dirty.points["s"]
+    told = findings_in(dirty.write(tmp_path))
+    assert any("leaves its place" in finding.statement for finding in told)
+    assert not any("falls with" in finding.statement for finding in told)
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))

@@ -27,6 +27,7 @@ MAX_TRIALS = 5  # more say the same
 # lengths that are tried where none is stated, in that of the hanging string: a stiff
 # one bends below the grasp
 LENGTH_RATIOS = (1.0, 1.04, 1.1, 1.2, 1.35)
+UNSEEN_END_RATIOS = (1.0, 1.3, 1.7, 2.3)  # in the largest s: its tip may be unseen
 # median distance from the prediction, in lengths, of consistent and of wrong data
 CONSISTENT_MISFIT = 0.12
 WRONG_MISFIT = 0.25
@@ -147,10 +148,11 @@ def reason_beside_geometry(verdict: Verdict) -> str:
 
 
 def hanging_lengths(measured: Measurements) -> list[float]:
-    """Return lengths [m] that the string may have by how it hangs at rest."""
+    """Return lengths [m] that the string may have by s, or by how it hangs at rest."""
     stated = measured.stated_arc_lengths
     if stated:
-        return [float(np.quantile(stated, 0.95))]
+        longest = float(np.quantile(stated, 0.95))
+        return [ratio * longest for ratio in UNSEEN_END_RATIOS]
     chords = []
     for recording in measured.recordings:
         hand = measured.pose(recording)[0, :2]
