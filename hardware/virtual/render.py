@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.stages.common import step_lengths, turn_left, unit_tangents
 from stringcast.stages.model.camera import Camera
 
 cv2 = LazyModule("cv2")
@@ -91,7 +93,7 @@ def render_frame(
     arm_width = look.arm_width * camera.px_per_m
     string_width = look.string_width * camera.px_per_m
     arm, string = camera.pixels(joints), camera.pixels(strings)
-    _draw_lines(frame, arm, arm_width, look.arm, _round_line_coverage)
+    _draw_lines(frame, arm, arm_width, look.arm, line_coverage)
     _draw_lines(frame, string, string_width, look.string, strip_coverage)
     return frame
 
@@ -103,109 +105,6 @@ def add_sensor_noise(
     noise = rng.standard_normal(frame.shape, dtype=np.float32)
     grey = np.rint(frame + look.noise * noise)
     return np.asarray(np.clip(grey, 0, 255), np.uint8)
-
-
-def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
-    """Compute the fraction of each pixel that a polyline covers.
-
-    Parameters
-    ----------
-    camera
-        The camera.
-    line : (n, 2)
-        The polyline [m].
-    width
-        Its width [m].
-
-    Returns
-    -------
-    (height, width) ndarray of float32
-        Fractions from 0 to 1.
-    """
-    shape = camera.height, camera.width
-    return _round_line_coverage(shape, camera.pixels(line), width * camera.px_per_m)
-
-
-def strip_coverage(
-    shape: tuple[int, ...], pixels: np.ndarray, width: float
-) -> np.ndarray:
-    """Compute the fraction of each pixel that a strip covers.
-
-    The strip ends flat at the ends of its line. OpenCV's thin lines end 0.1 to 0.4 px
-    later, depending on their direction. The strip is cut into small pieces, each of
-    which counts as an upright rectangle.
-
-    Parameters
-    ----------
-    shape
-        Height and width of the picture [px].
-    pixels : (n, 2)
-        Middle of the strip [px].
-    width
-        Its width [px].
-
-    Returns
-    -------
-    ndarray of this shape
-        Fractions from 0 to 1.
-    """
-    tangent = np.gradient(pixels, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
-    segment = np.diff(pixels, axis=0)  # (n - 1, 2)
-    length = np.linalg.norm(segment, axis=1)
-    # longer segments, far ones and those that are no numbers: of diverged simulations
-    reach = sum(shape)
-    is_near = (np.abs(pixels) < 2 * reach).all(axis=1)
-    is_drawn = is_near & np.isfinite(normal).all(axis=1)
-    drawn = np.flatnonzero((length < reach) & is_drawn[:-1] & is_drawn[1:])
-    if not len(drawn):
-        return np.zeros(shape)
-
-    count_along = max(int(np.ceil(PIECES_PER_PX * length[drawn].max())), 1)
-    count_across = max(int(np.ceil(PIECES_PER_PX * width)), 1)
-    along = ((np.arange(count_along) + 0.5) / count_along)[:, None]
-    across = ((np.arange(count_across) + 0.5) / count_across - 0.5) * width
-    middle = pixels[drawn, None] + along * segment[drawn, None]  # (n - 1, A, 2)
-    turn = normal[drawn + 1] - normal[drawn]
-    side = normal[drawn, None] + along * turn[:, None]
-    piece = middle[:, :, None] + across[:, None] * side[:, :, None]  # (n - 1, A, B, 2)
-
-    # sides of the upright rectangle around a piece, (n - 1, 2) [px]
-    size_along = length[drawn] / count_along
-    size_across = width / count_across
-    unit = np.abs(segment[drawn]) / np.maximum(length[drawn, None], 1e-9)
-    sides = unit * size_along[:, None] + unit[:, ::-1] * size_across
-    areas = np.broadcast_to((size_along * size_across)[:, None, None], piece.shape[:-1])
-    return np.asarray(np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0))
-
-
-def _rectangle_sums(
-    shape: tuple[int, ...], middle: np.ndarray, sides: np.ndarray, areas: np.ndarray
-) -> np.ndarray:
-    """Sum the areas that small upright rectangles have in each pixel of a picture.
-
-    middle: (S, A, B, 2) [px]. sides: (S, 2), at most a pixel. areas: (S, A, B) [px^2].
-    """
-    sides = sides[:, None, None]
-    first = middle + 0.5 - sides / 2  # from the first edge of the picture
-    pixel = np.floor(first).astype(int)
-    # the share of a rectangle that is in the next column and row
-    beyond = np.clip((first + sides - pixel - 1) / np.maximum(sides, 1e-9), 0, 1)
-    numbers = []
-    parts = []
-    for next_column in (0, 1):
-        for next_row in (0, 1):
-            column = pixel[..., 0] + next_column
-            row = pixel[..., 1] + next_row
-            inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-            share = np.abs(1 - next_column - beyond[..., 0])
-            share = share * np.abs(1 - next_row - beyond[..., 1])
-            numbers.append(row[inside] * shape[1] + column[inside])
-            parts.append((areas * share)[inside])
-    pixels = shape[0] * shape[1]
-    sums = np.bincount(np.concatenate(numbers), np.concatenate(parts), pixels)
-    return sums.reshape(shape)
 
 
 def _draw_lines(
@@ -232,7 +131,7 @@ def _draw_lines(
         part += np.mean(covers, axis=0) * (brightness - part)
 
 
-def _round_line_coverage(
+def line_coverage(
     shape: tuple[int, ...], pixels: np.ndarray, width: float
 ) -> np.ndarray:
     """Compute the fraction of each pixel that a polyline with round ends covers.
@@ -246,3 +145,92 @@ def _round_line_coverage(
         canvas, [fine[:, None]], False, 255, thickness, cv2.LINE_AA, FRACTIONAL_BITS
     )
     return canvas.astype(np.float32) / 255
+
+
+def strip_coverage(
+    shape: tuple[int, ...], pixels: np.ndarray, width: float
+) -> np.ndarray:
+    """Compute the fraction of each pixel that a strip covers.
+
+    The strip ends flat at the ends of its line. OpenCV's thin lines end 0.1 to 0.4 px
+    later, depending on their direction. The strip is cut into small pieces, each of
+    which counts as an upright rectangle.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the picture [px].
+    pixels : (n, 2)
+        Middle of the strip [px].
+    width
+        Its width [px].
+
+    Returns
+    -------
+    ndarray of this shape
+        Fractions from 0 to 1.
+    """
+    drawn = _drawn_segments(shape, pixels)
+    if not len(drawn):
+        return np.zeros(shape)
+    normal = turn_left(unit_tangents(pixels))
+    segment = pixels[drawn + 1] - pixels[drawn]  # (S, 2)
+    length = np.linalg.norm(segment, axis=1)
+
+    # A pieces along each segment, B across the strip
+    count_along = max(int(np.ceil(PIECES_PER_PX * length.max())), 1)
+    count_across = max(int(np.ceil(PIECES_PER_PX * width)), 1)
+    along = ((np.arange(count_along) + 0.5) / count_along)[:, None]
+    across = ((np.arange(count_across) + 0.5) / count_across - 0.5) * width
+    turn = normal[drawn + 1] - normal[drawn]
+    middle = pixels[drawn, None] + along * segment[:, None]  # (S, A, 2)
+    side = normal[drawn, None] + along * turn[:, None]
+    piece = middle[:, :, None] + across[:, None] * side[:, :, None]  # (S, A, B, 2)
+
+    # the upright rectangle around a piece: its sides (S, 2) [px], and the piece's area
+    size_along = length / count_along
+    size_across = width / count_across
+    direction = np.abs(segment) / np.maximum(length[:, None], 1e-9)
+    sides = direction * size_along[:, None] + direction[:, ::-1] * size_across
+    areas = size_along * size_across
+    return np.asarray(np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0))
+
+
+def _drawn_segments(shape: tuple[int, ...], pixels: np.ndarray) -> np.ndarray:
+    """Choose the segments of a line (n, 2) [px] that may be in a picture, by number.
+
+    In diverged simulations others are too long, far away, or no numbers.
+    """
+    reach = sum(shape)
+    is_near = (np.abs(pixels) < 2 * reach).all(axis=1)
+    is_short = step_lengths(pixels) < reach
+    is_whole = np.isfinite(unit_tangents(pixels)).all(axis=1)
+    is_drawn = is_near & is_whole
+    return np.flatnonzero(is_short & is_drawn[:-1] & is_drawn[1:])
+
+
+def _rectangle_sums(
+    shape: tuple[int, ...], middle: np.ndarray, sides: np.ndarray, areas: np.ndarray
+) -> np.ndarray:
+    """Sum the areas that small upright rectangles have in each pixel of a picture.
+
+    middle: (S, A, B, 2) [px]. sides: (S, 2), at most a pixel. areas: (S,) [px^2].
+    """
+    sides = sides[:, None, None]
+    first = middle + 0.5 - sides / 2  # from the first edge of the picture
+    pixel = np.floor(first).astype(int)
+    # the share of a rectangle that is in the next column and row
+    beyond = np.clip((first + sides - pixel - 1) / np.maximum(sides, 1e-9), 0, 1)
+    shares = (1 - beyond, beyond)
+    height, width = shape
+    numbers = []
+    parts = []
+    for next_column, next_row in product((0, 1), (0, 1)):
+        column = pixel[..., 0] + next_column
+        row = pixel[..., 1] + next_row
+        is_inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        share = shares[next_column][..., 0] * shares[next_row][..., 1]
+        numbers.append(row[is_inside] * width + column[is_inside])
+        parts.append((areas[:, None, None] * share)[is_inside])
+    sums = np.bincount(np.concatenate(numbers), np.concatenate(parts), height * width)
+    return sums.reshape(shape)

@@ -21,6 +21,7 @@ from stringcast.stages.common import (
     mad_sigma,
     step_lengths,
     turn_left,
+    unit_tangents,
 )
 from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
@@ -149,6 +150,32 @@ def trace_line(
     return np.concatenate([grasp[None], pixels[path[1:]]])
 
 
+def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:
+    """Build the graph of steps between allowed pixels, by length and faintness."""
+    count = int(allowed.sum())
+    number = np.full(allowed.shape, -1)
+    number[allowed] = np.arange(count)
+    full_light = max(float(np.percentile(light[allowed], 95)), 1e-6)
+    brightness = np.clip(light / full_light, 0.0, 1.0)
+    seen_cost = 1 + FAINT_PENALTY * (1 - brightness[allowed])
+    cost = np.where(mask[allowed] > 0, seen_cost, UNSEEN_PENALTY)
+
+    padded = np.pad(number, 1, constant_values=-1)
+    pixels, others, weights = [], [], []
+    for dv, du in NEIGHBOUR_STEPS:
+        neighbour = np.roll(padded, (-dv, -du), axis=(0, 1))
+        joined = (padded >= 0) & (neighbour >= 0)
+        pixel, other = padded[joined], neighbour[joined]
+        pixels.append(pixel)
+        others.append(other)
+        mean_cost = (cost[pixel] + cost[other]) / 2
+        weights.append(np.hypot(dv, du) * mean_cost)
+    start = np.concatenate(pixels + others)
+    end = np.concatenate(others + pixels)
+    weight = np.concatenate(weights + weights)
+    return coo_array((weight, (start, end)), shape=(count, count)).tocsr()
+
+
 def _path_in_mask(
     depth: np.ndarray, previous: np.ndarray, inside: np.ndarray, patch: np.ndarray
 ) -> list[int]:
@@ -235,8 +262,7 @@ def _centre_points(
     Its points are a pixel apart and go on beyond the tip. Within half a width of the
     tip they keep the last shift that was read.
     """
-    tangent = np.gradient(line, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    tangent = unit_tangents(line)
     normal = turn_left(tangent)
     profile = _cross_profiles(frame, line, normal, half_width)
     end, end_sigma = _find_end(profile.near_light, profile.outlined, half_width)
@@ -339,29 +365,3 @@ def _find_end(
     plateau = light[first : max(last - int(2 * half_width), first + 1)]
     light_sigma = mad_sigma(plateau - full_light)
     return end, float(np.hypot(END_SHAPE_SIGMA_PX, light_sigma / drop))
-
-
-def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:
-    """Graph of steps between neighbouring allowed pixels, by length and faintness."""
-    count = int(allowed.sum())
-    number = np.full(allowed.shape, -1)
-    number[allowed] = np.arange(count)
-    full_light = max(float(np.percentile(light[allowed], 95)), 1e-6)
-    brightness = np.clip(light / full_light, 0.0, 1.0)
-    seen_cost = 1 + FAINT_PENALTY * (1 - brightness[allowed])
-    cost = np.where(mask[allowed] > 0, seen_cost, UNSEEN_PENALTY)
-
-    padded = np.pad(number, 1, constant_values=-1)
-    froms, tos, weights = [], [], []
-    for dv, du in NEIGHBOUR_STEPS:
-        neighbour = np.roll(padded, (-dv, -du), axis=(0, 1))
-        joined = (padded >= 0) & (neighbour >= 0)
-        pixel, other = padded[joined], neighbour[joined]
-        froms.append(pixel)
-        tos.append(other)
-        mean_cost = (cost[pixel] + cost[other]) / 2
-        weights.append(np.hypot(dv, du) * mean_cost)
-    start = np.concatenate(froms + tos)
-    end = np.concatenate(tos + froms)
-    weight = np.concatenate(weights + weights)
-    return coo_array((weight, (start, end)), shape=(count, count)).tocsr()

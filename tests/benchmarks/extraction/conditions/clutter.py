@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stringcast.hardware.virtual.render import line_coverage
 from tests.benchmarks.extraction.conditions.condition import (
     Condition,
     ExposureMoment,
     Shot,
+    line_coverage,
 )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stringcast.hardware.virtual import render
 from stringcast.hardware.virtual.bench import EXPOSURE_MOMENTS, VirtualBench
 from stringcast.hardware.virtual.render import (
     Look,
@@ -52,6 +53,16 @@ class ExposureMoment:
     joints: np.ndarray
     strings: np.ndarray
     rng: np.random.Generator
+
+
+def line_coverage(camera: Camera, line: np.ndarray, width: float) -> np.ndarray:
+    """Compute the fraction of each pixel that a polyline (n, 2) [m] covers.
+
+    width: of the line [m].
+    """
+    shape = camera.height, camera.width
+    pixels = camera.pixels(line)
+    return render.line_coverage(shape, pixels, width * camera.px_per_m)
 
 
 class Condition:
