@@ -59,7 +59,7 @@ def fit_base_model(
     chi : numpy.ndarray, shape (P,)
         Exponents of the best fit.
     """
-    configured = likelihood.model.exponents_of({})
+    configured = likelihood.model.exponents_of_values({})
     drawn = rng.uniform(size=(SCREENED_PER_START * starts, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
     sample = sample_trials(likelihood)
@@ -102,7 +102,7 @@ def widen_range_if_supported(
     wider = _in_wider_range(likelihood.model, parameter, chi[index])
     if wider is None:
         return likelihood, chi
-    start = wider.exponents_of(likelihood.model.values_at(chi))
+    start = wider.exponents_of_values(likelihood.model.values_at(chi))
     widened = with_estimated_noise(likelihood.with_model(wider), start)
 
     # The gain of the log-likelihood at the best scale of the noise, as in `solver`
@@ -172,7 +172,7 @@ def widen_ranges_with_causes(
     left_m = unexplained_tip_rms(data, narrow)
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
-        start = widened.model.exponents_of(narrow.values)
+        start = widened.model.exponents_of_values(narrow.values)
         refitted = fit_hypothesis(data, widened, start[None], fit.scale_indices)
         explained = mean_explained_fraction(
             left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m

@@ -202,7 +202,7 @@ def with_causes_found_before(
     base = prepared.base_fit
     hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
     # The ranges may be others with more trials
-    start = hypothesis.model.exponents_of(found.fit.values)
+    start = hypothesis.model.exponents_of_values(found.fit.values)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.scale_indices)
     rng = np.random.default_rng(seed)
     steps = _without_fits(found.steps, prepared.data)

@@ -91,7 +91,7 @@ class Interval:
 def start_chi(model: Model, previous: Estimate | None) -> np.ndarray:
     """Choose the start of a search, (P,): the previous estimate or the start values."""
     known = {} if previous is None else previous.values()
-    return model.exponents_of(known)
+    return model.exponents_of_values(known)
 
 
 def build_search_estimate(

@@ -164,7 +164,7 @@ class SolverRuns:
 
     @property
     def log_likelihood_behind(self) -> np.ndarray:
-        """By how much the log-likelihood is below that of the best run, (R,)."""
+        """Log-likelihood that each run is behind the best one, (R,)."""
         loss = np.maximum(self.loss, SMALLEST_FLOAT)
         return np.asarray(0.5 * self.residual.shape[1] * np.log(loss / loss.min()))
 

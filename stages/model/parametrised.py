@@ -51,7 +51,7 @@ class Parametrised:
         values = parameter_values(self.parameters, chi)
         return dict(zip(self.names, values.tolist(), strict=True))
 
-    def exponents_of(self, named: Mapping[str, float]) -> np.ndarray:
+    def exponents_of_values(self, named: Mapping[str, float]) -> np.ndarray:
         """Return exponents (P,) of values by name, each within its range here.
 
         So values are carried to a model with other ranges. A parameter that is not

@@ -84,7 +84,7 @@ def test_active_and_excluded_effects_are_no_candidates(model, trials):
 
 def test_nothing_is_touched_where_the_string_departs_nowhere(arm, model, trials):
     base = Hypothesis(model)
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     assert not propose_causes(data, parent, [effects_by_name()["contact"]], 0)
@@ -92,7 +92,7 @@ def test_nothing_is_touched_where_the_string_departs_nowhere(arm, model, trials)
 
 def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
     base = Hypothesis(model)
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
     touching = base.with_cause(effects_by_name()["contact"])
     height, tilt = sample_planes(data, evaluate_fit(data, base, chi), touching)
@@ -111,12 +111,12 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     touching = base.with_cause(effects_by_name()["contact"])
     truth = dict.fromkeys(touching.model.names, 0.0) | TRUTH | PLANE
     trials = simulate_swings(arm, model, touching.model, TRUTH | PLANE, 0.6)
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     (plane,) = propose_causes(data, parent, [effects_by_name()["contact"]], 0)
     fit = fit_hypothesis(data, plane.hypothesis, plane.starts, parent.scale_indices)
-    true_fit = evaluate_fit(data, touching, touching.model.exponents_of(truth))
+    true_fit = evaluate_fit(data, touching, touching.model.exponents_of_values(truth))
     true_gain = true_fit.log_evidence - parent.log_evidence
     assert true_gain > 50
     assert fit.log_evidence - parent.log_evidence > 0.9 * true_gain
@@ -144,8 +144,8 @@ def test_a_field_of_a_user_is_proposed_like_wind(arm, model, effects_folder):
     pulled = base.with_cause(tether)
     truth = TRUTH | {"tether.strength": 15.0}
     trials = simulate_swings(arm, model, pulled.model, truth, 0.6)
-    data = attach_discrepancy_model(trials, base, base.model.exponents_of(TRUTH))
-    parent = evaluate_fit(data, base, base.model.exponents_of(TRUTH))
+    data = attach_discrepancy_model(trials, base, base.model.exponents_of_values(TRUTH))
+    parent = evaluate_fit(data, base, base.model.exponents_of_values(TRUTH))
     (proposal,) = propose_causes(data, parent, [tether], 0)
     fit = fit_hypothesis(
         data, proposal.hypothesis, proposal.starts, parent.scale_indices
@@ -158,7 +158,9 @@ def test_every_effect_is_proposed_or_has_a_reason(arm, model):
     """None of the library is silently out of a diagnosis's reach."""
     trials = simulate_swings(arm, model, model, TRUTH, 0.6)
     base = Hypothesis(model)
-    chi = base.model.exponents_of(TRUTH | {"linear_drag": 2.0})  # something is wrong
+    chi = base.model.exponents_of_values(
+        TRUTH | {"linear_drag": 2.0}
+    )  # something is wrong
     data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     library = effects_by_name()

@@ -53,7 +53,7 @@ def test_evidence_is_the_same_wherever_the_data_of_a_search_were_corrected(
 
     The error model is that of one of them.
     """
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     own = prepared_at(trials, hypothesis, chi)
     other = prepared_at(trials, hypothesis, np.clip(chi + 0.15, 0.0, 1.0))
     with_same_errors = []

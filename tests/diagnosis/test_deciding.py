@@ -91,12 +91,12 @@ def slow_trials(model):
 def fit_rivals(model, trials, *effects):
     """Fit the base model with each of some effects."""
     base = Hypothesis(model)
-    data = attach_discrepancy_model(trials, base, base.model.exponents_of(TRUTH))
+    data = attach_discrepancy_model(trials, base, base.model.exponents_of_values(TRUTH))
     no_discrepancy = np.zeros(len(trials), dtype=int)
     fits = {}
     for effect in effects:
         hypothesis = base.with_cause(effect)
-        start = hypothesis.model.exponents_of(TRUTH)
+        start = hypothesis.model.exponents_of_values(TRUTH)
         fit = fit_hypothesis(data, hypothesis, start[None], no_discrepancy)
         fits[effect.name] = fit
     return Rivals(fits, data, CRITERIA.deciding_log_odds)
@@ -185,7 +185,7 @@ def test_the_proposed_motion_decides_better_than_others(
     assert experiment["already_performed"]["expected_log_odds"] < 0.5 * log_odds
 
     base = Hypothesis(model)
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     others = []
     for number in range(0, DESIGN.motions, 4):
         curve = select_curve(curves, number)

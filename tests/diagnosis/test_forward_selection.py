@@ -147,10 +147,10 @@ def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_acce
         model = heavier.model
         observation = simulate_trial(f"t{k}", arm, model, truth, angles, places, rng)
         trials.append(prepare_trial(base.model, observation))
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
     parent = fit_hypothesis(data, base, chi[None], np.full(3, 9))
-    chi = heavier.model.exponents_of({**TRUTH, "tip_mass.ratio": 0.1})
+    chi = heavier.model.exponents_of_values({**TRUTH, "tip_mass.ratio": 0.1})
     gains = np.array([623.0, -36.0, -75.0])
     best = replace(
         evaluate_fit(data, heavier, chi),

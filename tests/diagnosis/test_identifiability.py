@@ -45,7 +45,7 @@ def simulate_swings(arm, model, values, seed):
 
 def fit_from_truth(data, hypothesis):
     """Fit a hypothesis from the true string without causes."""
-    start = hypothesis.model.exponents_of(TRUTH)
+    start = hypothesis.model.exponents_of_values(TRUTH)
     return fit_hypothesis(data, hypothesis, start[None], NO_DISCREPANCY)
 
 
@@ -53,7 +53,7 @@ def fit_from_truth(data, hypothesis):
 def prepared(arm, model):
     trials = simulate_swings(arm, model, TRUTH, 0)
     hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)
@@ -114,7 +114,9 @@ def test_an_effect_is_evident_from_the_limit_on(arm, model, limits, factor, is_e
     for seed in range(1, 6):
         simulated = simulate_swings(arm, windy.model, truth, seed)
         trials = [replace(trial, model=model) for trial in simulated]
-        data = attach_discrepancy_model(trials, base, base.model.exponents_of(TRUTH))
+        data = attach_discrepancy_model(
+            trials, base, base.model.exponents_of_values(TRUTH)
+        )
         parent = fit_from_truth(data, base)
         gain = fixed_leave_one_out_gain(parent, fit_from_truth(data, windy))
         evident.append(gain > CRITERIA.min_log_bayes_factor)

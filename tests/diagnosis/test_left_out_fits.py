@@ -35,7 +35,7 @@ def fit_trials(arm, strings):
         observed = simulate_trial(f"t{k}", arm, model, strings[k], angles, PLACES, rng)
         trials.append(prepare_trial(model, observed))
     hypothesis = Hypothesis(model)
-    chi = model.exponents_of(TRUTH)
+    chi = model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     no_discrepancy = np.zeros(len(trials), dtype=int)
     return data, fit_hypothesis(data, hypothesis, chi[None], no_discrepancy)

@@ -27,7 +27,7 @@ def hypothesis(arm):
 
 @pytest.fixture(scope="module")
 def true(hypothesis):
-    return hypothesis.model.exponents_of(TRUTH)
+    return hypothesis.model.exponents_of_values(TRUTH)
 
 
 @pytest.fixture(scope="module")

@@ -94,7 +94,7 @@ def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_t
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)
     hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     prediction = TrialPrediction(hypothesis, chi, np.zeros(0), 0.0)
     state = trial.initial_state
     turned = replace(trial, initial_state=replace(state, angle=state.angle + 0.5))

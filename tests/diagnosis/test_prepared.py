@@ -141,7 +141,7 @@ def test_a_trial_of_scattered_points_is_not_emptied(model):
 @pytest.fixture(scope="module")
 def prepared(model, trials):
     hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3))
@@ -255,7 +255,7 @@ def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model)
     stiff = TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]}
     data = TrialData(simulate_swings(arm, model, [TRUTH] * 3 + [stiff]))
     likelihood = Likelihood(data, model)
-    configured = model.exponents_of({})
+    configured = model.exponents_of_values({})
     rng = np.random.default_rng(3)
     drawn = rng.uniform(size=(64, len(configured)))
     candidates = np.concatenate([configured[None], drawn])
@@ -317,7 +317,7 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
         ranges = {**string.ranges, stiffness.name: replace(stiffness, high=high)}
         limited = replace(model, string=replace(string, ranges=ranges))
         base = Hypothesis(limited)
-        chi = base.model.exponents_of(TRUTH)
+        chi = base.model.exponents_of_values(TRUTH)
         bending = limited.names.index("bending_stiffness")
         chi[bending] = min(chi[bending], 1.0)
         fit = fit_hypothesis(
@@ -341,7 +341,7 @@ def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
     parameters = {p.name: p for p in string.parameters}
     ranges = {"axial_stiffness": parameters["axial_stiffness"]}
     base = Hypothesis(replace(model, string=replace(string, ranges=ranges)))
-    chi = base.model.exponents_of(TRUTH)
+    chi = base.model.exponents_of_values(TRUTH)
     axial = model.names.index("axial_stiffness")
     chi[axial] = 1.0
     centre = chi.copy()
@@ -366,8 +366,10 @@ def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
     """
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
     truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
-    chi = hypothesis.model.exponents_of(truth)
-    moved_chi = hypothesis.model.exponents_of(truth | {"maxwell_slip.slip": 0.03})
+    chi = hypothesis.model.exponents_of_values(truth)
+    moved_chi = hypothesis.model.exponents_of_values(
+        truth | {"maxwell_slip.slip": 0.03}
+    )
     trials = tuple(replace(trial, model=hypothesis.model) for trial in trials)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)

@@ -41,7 +41,7 @@ def likelihood_of_swing(arm, number):
 def test_steps_are_as_long_as_they_cost_no_accuracy(arm, number, wanted_step_s):
     likelihood = likelihood_of_swing(arm, number)
     hypothesis = Hypothesis(likelihood.model)
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M, LONGEST_STEP_S)
 
     assert longer.model.string.largest_step == wanted_step_s <= LONGEST_STEP_S
@@ -81,12 +81,12 @@ def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
         return [np.full((1, len(trial.s), 2), value) for trial in trials]
 
     monkeypatch.setattr(discretisation, "measured_points", simulate_points)
-    chi = likelihood.model.exponents_of(TRUTH)
+    chi = likelihood.model.exponents_of_values(TRUTH)
     longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M, LONGEST_STEP_S)
     assert longer.model.string.largest_step == 2e-3
 
 
 def test_steps_stay_where_no_trial_is_resolved(arm):
     likelihood = likelihood_of_swing(arm, 1)
-    chi = likelihood.model.exponents_of(TRUTH)
+    chi = likelihood.model.exponents_of_values(TRUTH)
     assert lengthen_steps_while_accurate(likelihood, chi, 1e-9, 4e-3) is likelihood

@@ -34,7 +34,7 @@ def simulate_curved_strings(arm, hypothesis, offsets):
         values = shared | {CURVATURE: MEAN_CURVATURE + offsets[k]}
         trial = simulate_trial(f"t{k}", arm, model, values, angles, places, rng)
         trials.append(prepare_trial(model, trial))
-    chi = hypothesis.model.exponents_of(shared)
+    chi = hypothesis.model.exponents_of_values(shared)
     base = Hypothesis(hypothesis.base)
     plain = attach_discrepancy_model(trials, base, chi[hypothesis.base_indices])
     fit = evaluate_fit(plain, hypothesis, chi)

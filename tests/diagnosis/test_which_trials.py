@@ -103,7 +103,7 @@ def test_what_was_proposed_stays_known_without_a_chaotic_trial(arm):
         )
         trial = prepare_trial(model, measured)
         trials.append(replace(trial, sigma=np.full(len(trial.s), 1e-3)))
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)
     prepared = PreparedData(data, fit, tuple(trials), tuple(trials), 0, uncertainty_m)

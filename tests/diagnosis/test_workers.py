@@ -195,7 +195,7 @@ def prepared(arm):
     trials = simulate_swings(arm, windy, TRUTH | {"wind.along_x": 1.0}, 0)
     trials = with_model(trials, model)
     hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of(TRUTH)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)

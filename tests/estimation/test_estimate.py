@@ -100,7 +100,7 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
 def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypatch):
     model = Model(STRING, arm, camera)
     targets = matching_targets(model, [observed(3)], MATCHING)
-    chi = model.exponents_of(TRUTH)
+    chi = model.exponents_of_values(TRUTH)
     search = Candidates("none", chi[None], np.ones(1))
     interval = Interval(chi, chi, np.ones(len(chi), bool), "")
     counts = []
@@ -352,7 +352,7 @@ def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypa
                 model, [observed(0)], previous, seed=0, cast_number=1, **settings
             )
     assert starts[0] is None
-    true = model.exponents_of(TRUTH)
+    true = model.exponents_of_values(TRUTH)
     np.testing.assert_allclose(starts[1], true)
 
 

@@ -43,7 +43,7 @@ def hypothesis(trial):
 
 @pytest.fixture(scope="module")
 def true(hypothesis):
-    return hypothesis.model.exponents_of(NAMED)
+    return hypothesis.model.exponents_of_values(NAMED)
 
 
 def begun(trial, *off):
