@@ -10,12 +10,12 @@ import pandas as pd
 
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.schema import DataError
+from stringcast.stages.check.consistency.dataset import tracks_along_string
 from stringcast.stages.check.consistency.record import (
     Measurements,
     Recording,
     Track,
     arm_poses,
-    choose_places,
 )
 from stringcast.stages.check.measured import drop_spikes
 from stringcast.stages.report.formatting import format_count
@@ -102,21 +102,16 @@ def measurements_of_tables(
 
 def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:
     """Return the tracks of a trial's points, of a few if their arc length is stated."""
-    tracks = []
-    groups: list[tuple[str, float | None, pd.Series]] = []
     if "s" in points:
-        places = np.sort(points["s"].round(4).unique())
-        for s in places[choose_places(places)]:
-            groups.append((f"{s:g}", float(s), points["s"].round(4) == s))
-    else:
-        for name in points["point"].unique():
-            s = bench.point_arc_lengths.get(name)
-            groups.append((str(name), s, points["point"] == name))
-    for name, s, is_here in groups:
-        rows = points[is_here].drop_duplicates("t").sort_values("t")
+        known = points.dropna(subset=["s"])
+        return tracks_along_string(known.sort_values(["t", "s"], kind="stable"))
+    tracks = []
+    for name in points["point"].unique():
+        rows = points[points["point"] == name].drop_duplicates("t").sort_values("t")
         if len(rows) >= MIN_ROWS:
-            xy = rows[["x", "y"]].to_numpy(float)
-            tracks.append(Track(name, s, *drop_spikes(rows["t"].to_numpy(), xy)))
+            s = bench.point_arc_lengths.get(name)
+            t, xy = rows["t"].to_numpy(), rows[["x", "y"]].to_numpy(float)
+            tracks.append(Track(str(name), s, *drop_spikes(t, xy)))
     return tuple(tracks)
 
 

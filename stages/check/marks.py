@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from stringcast.stages.check.consistency.dataset import measurements_of
-from stringcast.stages.check.consistency.record import MAX_PLACES
+from stringcast.stages.check.consistency.dataset import MAX_PLACES, measurements_of
 from stringcast.stages.check.finding import Finding, warning
 from stringcast.stages.check.hanging_string import (
     find_resting_points,

@@ -71,8 +71,6 @@ class Hypothesis:
 
     def exponents_from(self, known: Mapping[str, float]) -> np.ndarray:
         """Collect exponents (P,) known by name; others are where a cause is absent."""
-        exponents = []
-        for parameter in self.parameters:
-            start = float(parameter.chi(np.asarray(parameter.start)))
-            exponents.append(known.get(parameter.name, start))
-        return np.array(exponents)
+        absent = self.model.exponents_of_values({})
+        pairs = zip(self.model.names, absent, strict=True)
+        return np.array([known.get(name, start) for name, start in pairs])

@@ -5,21 +5,14 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import pandas as pd
 
 from stringcast.stages.check.clocks import is_restless, trials_in_seconds
 from stringcast.stages.check.consistency.judge import Verdict, judge
-from stringcast.stages.check.consistency.record import (
-    RELATIVE_PLACES,
-    TIP_QUANTILE,
-    Measurements,
-    Recording,
-    Track,
-    choose_places,
-)
+from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 from stringcast.stages.check.measured import (
     MIN_TRACK_FRAMES,
     CheckedDataset,
-    CheckedTrial,
     drop_spikes,
 )
 from stringcast.stages.string_places import (
@@ -27,6 +20,10 @@ from stringcast.stages.string_places import (
     points_at_arc_lengths,
     track_places,
 )
+
+MAX_PLACES = 6  # along the string that are all looked at; of more, a few
+RELATIVE_PLACES = (0.25, 0.5, 1.0)  # these few, in the arc length of the tip
+TIP_QUANTILE = 0.95  # so many points lie no further along than the tip
 
 
 @lru_cache(maxsize=4)
@@ -43,7 +40,7 @@ def measurements_of(dataset: CheckedDataset) -> Measurements:
     """
     recordings = []
     for trial in trials_in_seconds(dataset, dataset.informative_trials()):
-        tracks = tracks_of(trial)
+        tracks = tracks_along_string(trial.points)
         if tracks:
             pose = trial.pose if trial.joints is None else None
             recordings.append(
@@ -69,9 +66,11 @@ def measurements_of(dataset: CheckedDataset) -> Measurements:
     )
 
 
-def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
-    """Return the tracks of a few places of the string, the innermost first."""
-    points = trial.points
+def tracks_along_string(points: pd.DataFrame) -> tuple[Track, ...]:
+    """Return the tracks of a few places of the string, the innermost first.
+
+    points: of a trial, with columns t, s, x, y, in the order of t and s.
+    """
     times, frame = np.unique(points["t"], return_inverse=True)
     s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()
     all_tracks = track_places(frame, s)
@@ -93,9 +92,13 @@ def tracks_of(trial: CheckedTrial) -> tuple[Track, ...]:
         return tuple(found)
 
     arc_lengths = np.array([np.median(s[track]) for track in tracks])
-    for number in choose_places(arc_lengths):
-        points_of_place = tracks[number]
-        track = drop_spikes(times[frame[points_of_place]], xy[points_of_place])
-        place = round(float(arc_lengths[number]), 4)
-        found.append(Track(f"{place:g}", float(arc_lengths[number]), *track))
+    chosen = np.arange(len(tracks))
+    if len(tracks) > MAX_PLACES:
+        wanted = np.array(RELATIVE_PLACES) * np.quantile(arc_lengths, TIP_QUANTILE)
+        chosen = np.unique(np.abs(arc_lengths[:, None] - wanted).argmin(axis=0))
+    for chosen_track in chosen:
+        of_place = tracks[chosen_track]
+        track = drop_spikes(times[frame[of_place]], xy[of_place])
+        place = float(arc_lengths[chosen_track])
+        found.append(Track(f"{round(place, 4):g}", place, *track))
     return tuple(found)

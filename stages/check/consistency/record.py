@@ -9,9 +9,6 @@ import numpy as np
 
 MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
 REST_FRAMES = 5  # the median of so many frames gives the place of rest
-MAX_PLACES = 6  # along the string that are all looked at; of more, a few
-RELATIVE_PLACES = (0.25, 0.5, 1.0)  # these few, in the arc length of the tip
-TIP_QUANTILE = 0.95  # so many places lie no further along than the tip
 
 
 @dataclass(frozen=True)
@@ -129,14 +126,6 @@ class Measurements:
     def with_tracks(self, change: Callable[[Track], Track]) -> Measurements:
         """Return the measurements with each track changed."""
         return self.with_recordings(lambda recording: recording.with_tracks(change))
-
-
-def choose_places(arc_lengths: np.ndarray) -> np.ndarray:
-    """Choose the numbers of a few places (M,) [m] along the string to look at."""
-    if len(arc_lengths) <= MAX_PLACES:
-        return np.arange(len(arc_lengths))
-    wanted = np.array(RELATIVE_PLACES) * np.quantile(arc_lengths, TIP_QUANTILE)
-    return np.unique(np.abs(arc_lengths[:, None] - wanted).argmin(axis=0))
 
 
 def arm_poses(
