@@ -42,14 +42,30 @@ def straight_lines(seed):
 
 
 def covered_area(start, direction, width):
-    """Return the share of each pixel that a strip with flat ends covers."""
-    fine = (np.arange(SUBPIXELS * SIZE_PX, dtype=np.float32) + 0.5) / SUBPIXELS - 0.5
-    u, v = fine - np.float32(start[0]), (fine - np.float32(start[1]))[:, None]
+    """Return the share of each pixel that a strip with flat ends covers.
+
+    Only pixels near the strip are cut into subpixels.
+    """
+    ends = np.stack([start, start + LENGTH_PX * direction])
+    first = np.floor(ends.min(axis=0) - width).astype(int)
+    size = np.ceil(ends.max(axis=0) + width).astype(int) + 1 - first
+    u = subpixels(first[0], size[0]) - np.float32(start[0])
+    v = (subpixels(first[1], size[1]) - np.float32(start[1]))[:, None]
     along = u * direction[0] + v * direction[1]
     across = v * direction[0] - u * direction[1]
     inside = (along >= 0) & (along <= LENGTH_PX) & (np.abs(across) <= width / 2)
-    parts = inside.reshape(SIZE_PX, SUBPIXELS, SIZE_PX, SUBPIXELS)
-    return parts.mean(axis=(1, 3), dtype=np.float32)
+    parts = inside.reshape(size[1], SUBPIXELS, size[0], SUBPIXELS)
+    share = np.zeros((SIZE_PX, SIZE_PX), np.float32)
+    rows = slice(first[1], first[1] + size[1])
+    columns = slice(first[0], first[0] + size[0])
+    share[rows, columns] = parts.mean(axis=(1, 3), dtype=np.float32)
+    return share
+
+
+def subpixels(first, count):
+    """Return the middles of the subpixels of a row of `count` pixels [px]."""
+    fine = (np.arange(SUBPIXELS * count, dtype=np.float32) + 0.5) / SUBPIXELS - 0.5
+    return first + fine
 
 
 def pictures(starts, directions, width, contrast, seed):
