@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from hydra._internal import config_loader_impl
 from hydra._internal.hydra import Hydra
 from omegaconf import OmegaConf
 from threadpoolctl import threadpool_limits
@@ -28,6 +29,8 @@ from stringcast.hardware.virtual.bench import (
     VirtualBench,
     VirtualCamera,
 )
+from stringcast.pipeline.commands.check import read_measurements
+from stringcast.pipeline.settings.composition import conf_folders
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -171,6 +174,50 @@ def files_of_settings_are_parsed_once():
 
 
 @pytest.fixture(autouse=True, scope="session")
+def files_of_settings_are_merged_once():
+    """Keep the files that Hydra chooses for the options of groups, and their sum.
+
+    That is most of a composition, and other commands differ in single values alone.
+    Files of plugins are chosen and merged each time.
+    """
+    choose = config_loader_impl.create_defaults_list
+    merge = config_loader_impl.ConfigLoaderImpl._compose_config_from_defaults_list
+    chosen, merged = {}, {}
+
+    def choose_files(repo, config_name, overrides_list, **how):
+        if len(conf_folders()) > 1:
+            return choose(repo, config_name, overrides_list, **how)
+        options, values = [], []
+        for override in overrides_list:
+            is_option = repo.group_exists(override.key_or_group)
+            (options if is_option else values).append(override)
+        words = [override.input_line for override in options]
+        sources = [source.full_path() for source in repo.get_sources()]
+        key = (config_name, *words, *sources, *how.values())
+        if key not in chosen:
+            chosen[key] = choose(repo, config_name, options, **how)
+        values = [value for value in values if not value.is_sweep_override()]
+        values = [*chosen[key].config_overrides, *values]
+        return replace(chosen[key], config_overrides=values)
+
+    def merge_files(loader, defaults, repo):
+        if all(defaults is not files.defaults for files in chosen.values()):
+            return merge(loader, defaults, repo)
+        if id(defaults) not in merged:
+            merged[id(defaults)] = merge(loader, defaults, repo)
+        return deepcopy(merged[id(defaults)])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(config_loader_impl, "create_defaults_list", choose_files)
+        patch.setattr(
+            config_loader_impl.ConfigLoaderImpl,
+            "_compose_config_from_defaults_list",
+            merge_files,
+        )
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def settings_are_composed_once():
     """Tell Hydra whether an experiment is a sweep.
 
@@ -288,6 +335,12 @@ def threads(number):
 def other_threads():
     """Return another number of threads than now, where there are several cores."""
     return threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS)
+
+
+@cache
+def measured_sample():
+    """Return the sample as `check` reads it, with arm and camera of the settings."""
+    return read_measurements(ROOT / "data" / "sample", [])
 
 
 def configured(kind, path):

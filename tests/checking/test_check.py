@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, measured_sample
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
@@ -32,7 +32,7 @@ SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
 ANGLES = ["q1", "q2", "q3"]
 TRIALS = ["t00", "t03", "t04"]
-AS_A_RUN = read_measurements(SAMPLE, [])  # with the arm and camera of the configuration
+AS_A_RUN = measured_sample()
 
 
 class Dirty:

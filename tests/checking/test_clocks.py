@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import ROOT
+from conftest import ROOT, measured_sample
 
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
@@ -42,7 +42,7 @@ from stringcast.stages.clock.windows import (
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured" / "tudelft_cable_fr3"
 CASE = ROOT.parent / "shared" / "cases" / "two_clocks"
-CHECKED = read_measurements(SAMPLE, [])
+CHECKED = measured_sample()
 TRIALS = CHECKED.trials
 FRAME_S = 0.005
 

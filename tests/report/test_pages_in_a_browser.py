@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT
+from conftest import measured_sample
 
 from stringcast.data.alignment import Alignment
 from stringcast.data.estimates import Prediction
-from stringcast.pipeline.commands.check import read_measurements
 from stringcast.stages.check.overview import dataset_overview
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
@@ -38,7 +37,7 @@ pytestmark = pytest.mark.skipif(
     reason="NO CHROMIUM HERE: NO PAGE WAS OPENED. Install chromium.",
 )
 ORIGIN = {"seed": 7, "code": {"commit": "0123456789abcdef"}}
-MEASURED = read_measurements(ROOT / "data" / "sample", [])
+MEASURED = measured_sample()
 PHONE = 360  # [px]
 READY = "document.documentElement.dataset.ready === 'yes' || !document.querySelector('.explore')"
 
