@@ -208,14 +208,16 @@ def median_residuals(
 
     It is 0 for strings that end before the track begins.
     """
-    points = prediction.points(track.s or prediction.length)
-    residuals = []
-    for rung, offset in enumerate(offsets):
-        index = np.rint((track.t + offset - prediction.t[0]) / TICK_S).astype(int)
-        is_within = index < len(prediction.t)
-        if not is_within.any():
-            residuals.append(np.zeros(2))
-            continue
-        places = points[rung, np.maximum(index[is_within], 0)]
-        residuals.append(np.median(track.xy[is_within] - places, axis=0))
-    return np.array(residuals)
+    points = prediction.points(track.s or prediction.length)  # (C, N, 2)
+    last = len(prediction.t) - 1
+    ticks = (track.t + offsets[:, None] - prediction.t[0]) / TICK_S
+    index = np.rint(ticks).astype(int)  # (C, F)
+    rungs = np.arange(len(offsets))[:, None]
+    residuals = track.xy - points[rungs, np.clip(index, 0, last)]  # (C, F, 2)
+    is_within = index <= last
+    if is_within.all():
+        return np.asarray(np.median(residuals, axis=1))
+    medians = np.zeros((len(offsets), 2))
+    for rung in np.flatnonzero(is_within.any(axis=1)):
+        medians[rung] = np.median(residuals[rung, is_within[rung]], axis=0)
+    return medians

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,8 @@ MOVED_SHARE = 0.03  # of the length: beyond, a place was left
 MIN_HAND_PATH = 0.1  # in lengths: a shorter path predicts nothing
 MAX_FRAMES = 60  # of a track
 MIN_FRAMES = 5
+MAX_KEPT_PREDICTIONS = 16  # about 1 MB each
+MAX_KEPT_TRACKS = 256
 OFFSET_STEP_S = 0.02
 # arc lengths that are tried where none is stated, in lengths
 ARC_LENGTH_GRID = np.arange(0.2, 1.001, 0.1)
@@ -152,12 +155,39 @@ def predict(
     in_span = span.contains(t)
     if in_span.sum() < MIN_FRAMES:
         return None
-    motion = resample_hand_motion(t[in_span], pose[in_span], TICK_S)
+    moving_t, moving_pose = t[in_span].astype(float), pose[in_span].astype(float)
+    times, nodes = simulate_ladder(
+        length, tuple(set_angles), moving_t.tobytes(), moving_pose.tobytes()
+    )
+    return Prediction(times, nodes, length, horizon)
+
+
+@lru_cache(maxsize=MAX_KEPT_PREDICTIONS)
+def simulate_ladder(
+    length: float, set_angles: tuple[float, ...], t: bytes, pose: bytes
+) -> tuple[np.ndarray, np.ndarray]:
+    """Simulate strings of the ladder in a hand; return `Prediction.t` and `.nodes`.
+
+    Many corrections change points alone, so that the same hands are asked for again.
+
+    Parameters
+    ----------
+    length
+        Of the string [m].
+    set_angles
+        As of `predict`.
+    t, pose
+        Times (K,) [s] of the hand and its poses (K, 3), as bytes.
+    """
+    hand_t, hand_pose = np.frombuffer(t), np.frombuffer(pose).reshape(-1, 3)
+    motion = resample_hand_motion(hand_t, hand_pose, TICK_S)
     rungs = []
     for set_angle in set_angles:
         string, values = ladder(length, set_angle)
         rungs.append(simulate(string, motion, values, motion.times).points)
-    return Prediction(motion.times, np.concatenate(rungs), length, horizon)
+    nodes = np.concatenate(rungs)
+    nodes.flags.writeable = False
+    return motion.times, nodes
 
 
 class MotionSpan(NamedTuple):
@@ -220,6 +250,7 @@ def ladder(length: float, set_angle: float) -> tuple[String, np.ndarray]:
     return string, np.array(rows)
 
 
+@lru_cache(maxsize=MAX_KEPT_TRACKS)
 def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> Track:
     """Return at most MAX_FRAMES finite frames about the track's motion."""
     is_known = np.isfinite(track.xy).all(axis=1) & np.isfinite(track.t)

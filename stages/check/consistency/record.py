@@ -11,7 +11,7 @@ MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
 REST_FRAMES = 5  # the median of so many frames gives the place of rest
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Track:
     """A point of the string over time.
 
