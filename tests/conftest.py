@@ -59,19 +59,19 @@ TRUTH = {
 }
 
 
-# Files that take longest come first, so that parallel workers end together. The
-# diagnosis by command follows the one in the process, whose compiled kernels it uses.
+# Files that take longest come first, so that parallel workers end together. Files that
+# use the same compiled kernels follow one another, so that one worker compiles them.
 LONGEST = (
     "drivers/test_filming",
     "drivers/test_run_interrupted",
     "drivers/test_serial_link",
     "diagnosis/test_hidden_causes",
+    "checking/test_check",
     "pipeline/test_command_line",
     "sweep/test_sweep_command",
     "extraction/test_extract",
     "diagnosis/test_from_the_command_line",
     "benchmarks/test_drawing",
-    "checking/test_check",
     "diagnosis/test_forward_selection",
     "faults/test_full_disk",
     "faults/test_run_faults",
