@@ -5,16 +5,11 @@ It hangs freely, and its swing decays evenly.
 
 import numpy as np
 
-from stringcast.stages.model.effects.axial_damper import AxialDamper
-from stringcast.stages.model.effects.axial_spring import AxialSpring
-from stringcast.stages.model.effects.grasp_spring import GraspSpring
-from stringcast.stages.model.effects.gravity import Gravity
-from stringcast.stages.model.effects.hinge_damper import HingeDamper
-from stringcast.stages.model.effects.hinge_spring import HingeSpring
+from stringcast.stages.model.effects.grasp_play import GraspPlay
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
-from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.state import StringState
+from stringcast.stages.model.string import PAPER_EFFECTS
 from tests.conftest import implicit_string
 
 LENGTH = 0.3
@@ -25,14 +20,12 @@ ROD = {
     "bending_stiffness": 4e5,
     "bending_damping": 0.05,
     "grasp_stiffness": 1e-12,
+    # absent by their values, so that no loop without them is compiled
+    "grasp_damping": 0.0,
+    "linear_drag": 0.0,
+    "quadratic_drag": 0.0,
 }
-# The laws of `laws/test_memory_in_motion.py` are absent by their values, so that one
-# loop is compiled for both.
-FORCES = (Gravity, AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
-MEMORY = find_effects(
-    ["maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play"]
-)
-HELD = implicit_string(8, 5e-4, LENGTH, effects=(*FORCES, *MEMORY))
+HELD = implicit_string(8, 5e-4, LENGTH, effects=(*PAPER_EFFECTS, GraspPlay))
 
 
 def still(theta):
