@@ -76,13 +76,13 @@ def model_with_offset(model: Model, half_width: float) -> Model:
 
 def model_up_to_strips(model: Model) -> Model:
     """Return the model with ranges of stiffness that hold limp strings and strips."""
-    ranges = dict(model.string.ranges)
+    wider = []
     for parameter in model.string.parameters:
         name = parameter.name
         if name in CLAMPED_STRIP and name not in model.measured_ranges:
             high = max(parameter.high, CLAMPED_STRIP[name])
-            ranges[name] = replace(parameter, high=high)
-    return replace(model, string=replace(model.string, ranges=ranges))
+            wider.append(replace(parameter, high=high))
+    return model.with_ranges(*wider)
 
 
 def fit_clock(

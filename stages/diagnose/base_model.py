@@ -120,7 +120,7 @@ def _in_wider_range(
     model: Model, parameter: Parameter, exponent: float
 ) -> Model | None:
     """Widen a string parameter's range if it lies at an end; None if it does not."""
-    ranges = dict(model.string.ranges)
+    ranges = model.string.ranges
     at_end = not RANGE_END_FRACTION < exponent < 1 - RANGE_END_FRACTION
     is_free = parameter.name in ranges and parameter.low > 0
     if not at_end or not is_free or parameter.name in model.measured_ranges:
@@ -131,8 +131,7 @@ def _in_wider_range(
         low = low / RANGE_WIDENING_FACTOR
     else:
         high = high * RANGE_WIDENING_FACTOR
-    ranges[parameter.name] = replace(ranges[parameter.name], low=low, high=high)
-    return replace(model, string=replace(model.string, ranges=ranges))
+    return model.with_ranges(replace(ranges[parameter.name], low=low, high=high))
 
 
 def widen_ranges_with_causes(

@@ -257,8 +257,8 @@ def _settings_with_causes(
     wider = widen_ranges_with_causes(data, state.fit, settings.criteria)
     if wider is None:
         return settings
-    string = replace(settings.model.string, ranges=wider.string.ranges)
-    return replace(settings, model=replace(settings.model, string=string))
+    model = settings.model.with_ranges(*wider.string.ranges.values())
+    return replace(settings, model=model)
 
 
 def _steps_are_long(state: SelectionState) -> bool:

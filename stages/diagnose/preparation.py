@@ -255,7 +255,7 @@ def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
     fine = base.hypothesis.model.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
-    configured = replace(model, string=replace(string, ranges=fine.ranges))
+    configured = model.with_ranges(*fine.ranges.values())
     trials = []
     for trial, corrected in zip(prepared.trials, prepared.data.trials, strict=True):
         discrepancy = corrected.discrepancy

@@ -111,6 +111,12 @@ class Model(Parametrised):
             self, camera_effects=_sort_by_order(*self.camera_effects, effect)
         )
 
+    def with_ranges(self, *parameters: Parameter) -> Model:
+        """Return the model with parameters of its string in other ranges."""
+        others = {parameter.name: parameter for parameter in parameters}
+        string = replace(self.string, ranges={**self.string.ranges, **others})
+        return replace(self, string=string)
+
     def with_segments(self, segments: int) -> Model:
         """Return the model with its string in so many segments, from a cache."""
         if segments not in self._meshes:

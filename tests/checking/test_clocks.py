@@ -129,8 +129,8 @@ def test_strings_are_sought_up_to_a_clamped_strip():
         assert by_name[name] == before[name]
     # what is configured to be wider stays, and what was measured too
     grasp = replace(by_name["grasp_stiffness"], high=5e3)
-    cable = replace(wide.string, ranges={**wide.string.ranges, grasp.name: grasp})
-    assert model_up_to_strips(replace(wide, string=cable)).string == cable
+    cable = wide.with_ranges(grasp)
+    assert model_up_to_strips(cable).string == cable.string
     measured = replace(plain, measured_ranges={"grasp_stiffness": (1.0, 2.0)})
     ranges = model_up_to_strips(measured).string.ranges
     assert ranges["grasp_stiffness"] == before["grasp_stiffness"]

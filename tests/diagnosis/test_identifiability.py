@@ -49,14 +49,19 @@ def fit_from_truth(data, hypothesis):
     return fit_hypothesis(data, hypothesis, start[None], NO_DISCREPANCY)
 
 
-@pytest.fixture(scope="module")
-def prepared(arm, model):
-    trials = simulate_swings(arm, model, TRUTH, 0)
+def prepare_swings(trials, model):
+    """Prepare three swings, and fit the base model from the true string."""
     hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of_values(TRUTH)
-    data = attach_discrepancy_model(trials, hypothesis, chi)
+    data = attach_discrepancy_model(
+        trials, hypothesis, model.exponents_of_values(TRUTH)
+    )
     fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)
+
+
+@pytest.fixture(scope="module")
+def prepared(arm, model):
+    return prepare_swings(simulate_swings(arm, model, TRUTH, 0), model)
 
 
 @pytest.fixture(scope="module")

@@ -269,11 +269,9 @@ def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model)
 
 
 def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
-    string = model.string
-    parameters = {p.name: p for p in string.parameters}
-    narrow = replace(parameters["bending_stiffness"], high=2.0)
-    ranges = {**string.ranges, narrow.name: narrow}
-    limited = replace(model, string=replace(string, ranges=ranges))
+    parameters = {p.name: p for p in model.string.parameters}
+    limited = model.with_ranges(replace(parameters["bending_stiffness"], high=2.0))
+    ranges = limited.string.ranges
     trials = tuple(replace(trial, model=limited) for trial in prepared.trials)
     likelihood = Likelihood(TrialData(trials), limited)
     bending = limited.names.index("bending_stiffness")
@@ -294,8 +292,7 @@ def test_a_range_is_wide_enough_where_a_wider_one_explains_hardly_more(model, pr
     damping = {p.name: p for p in model.string.parameters}["axial_damping"]
     index = model.names.index(damping.name)
     high = damping.value(prepared.base_fit.chi[index]) / 2
-    ranges = {damping.name: replace(damping, high=high)}
-    limited = replace(model, string=replace(model.string, ranges=ranges))
+    limited = model.with_ranges(replace(damping, high=high))
     trials = tuple(replace(trial, model=limited) for trial in prepared.trials)
     likelihood = Likelihood(TrialData(trials), limited)
     start = prepared.base_fit.chi.copy()
@@ -310,12 +307,10 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
     model, prepared
 ):
     """The bending stiffness is above one range, and inside the other."""
-    string = model.string
-    parameters = {p.name: p for p in string.parameters}
+    parameters = {p.name: p for p in model.string.parameters}
     stiffness = parameters["bending_stiffness"]
     for high, expected in ((2.0, 60.0), (stiffness.high, None)):
-        ranges = {**string.ranges, stiffness.name: replace(stiffness, high=high)}
-        limited = replace(model, string=replace(string, ranges=ranges))
+        limited = model.with_ranges(replace(stiffness, high=high))
         base = Hypothesis(limited)
         chi = base.model.exponents_of_values(TRUTH)
         bending = limited.names.index("bending_stiffness")
@@ -337,10 +332,8 @@ def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
 
     The axial stiffness would be a little inside its range.
     """
-    string = model.string
-    parameters = {p.name: p for p in string.parameters}
-    ranges = {"axial_stiffness": parameters["axial_stiffness"]}
-    base = Hypothesis(replace(model, string=replace(string, ranges=ranges)))
+    parameters = {p.name: p for p in model.string.parameters}
+    base = Hypothesis(model.with_ranges(parameters["axial_stiffness"]))
     chi = base.model.exponents_of_values(TRUTH)
     axial = model.names.index("axial_stiffness")
     chi[axial] = 1.0

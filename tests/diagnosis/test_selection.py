@@ -361,8 +361,7 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
     base = ordinary(arm)
     found = Hypothesis(base, (wind,))
     (stiffness,) = [p for p in base.parameters if p.name == "bending_stiffness"]
-    ranges = {stiffness.name: replace(stiffness, high=30 * stiffness.high)}
-    wider = replace(base, string=replace(base.string, ranges=ranges))
+    wider = base.with_ranges(replace(stiffness, high=30 * stiffness.high))
 
     def fit(data, hypothesis, starts, scale_indices):
         started.append((hypothesis, starts[0]))

@@ -236,8 +236,7 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
     """
     model = ordinary(arm)
     grasp = {p.name: p for p in model.string.parameters}["grasp_stiffness"]
-    wide = {**model.string.ranges, grasp.name: replace(grasp, high=30 * grasp.high)}
-    wider = replace(model, string=replace(model.string, ranges=wide))
+    wider = model.with_ranges(replace(grasp, high=30 * grasp.high))
 
     def prepare(given, observations, tolerance, rng, starts, progress, step, keep):
         searched.append((given.string.ranges, tuple(keep)))
@@ -257,7 +256,7 @@ def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(cause_search, "prepare_further_trials", prepare_further)
     _, _, causes = settle(monkeypatch, prepare, select, model=model, widen=widen)
-    assert searched == [(model.string.ranges, ()), (wide, ("t2",))]
+    assert searched == [(model.string.ranges, ()), (wider.string.ranges, ("t2",))]
     assert begun_with == [(), ()]
     assert causes == ("tip_mass",)
 

@@ -16,11 +16,7 @@ from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import left_out_fits
 from stringcast.stages.diagnose.candidate_comparison import compare_candidates
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import evaluate_fit
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.kept_results import content_digest
 from stringcast.stages.model.effects.arm_lag import ArmLag
@@ -28,7 +24,7 @@ from stringcast.stages.model.effects.camera_offset import CameraOffset
 from stringcast.stages.model.effects.wind import Wind
 from stringcast.stages.workers import CAN_FORK, map_in_workers, use_workers
 from tests.diagnosis.test_forward_selection import diagnose_casts
-from tests.diagnosis.test_identifiability import fit_from_truth, simulate_swings
+from tests.diagnosis.test_identifiability import prepare_swings, simulate_swings
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="needs a safe fork")
 log = logging.getLogger("stringcast.tests.workers")
@@ -193,12 +189,7 @@ def prepared(arm):
     model = with_second_order_mesh(ordinary(arm))
     windy = model.with_effects(Wind)
     trials = simulate_swings(arm, windy, TRUTH | {"wind.along_x": 1.0}, 0)
-    trials = with_model(trials, model)
-    hypothesis = Hypothesis(model)
-    chi = hypothesis.model.exponents_of_values(TRUTH)
-    data = attach_discrepancy_model(trials, hypothesis, chi)
-    fit = evaluate_fit(data, hypothesis, fit_from_truth(data, hypothesis).chi)
-    return PreparedData(data, fit, trials, trials, 0, np.zeros(3), mesh_is_model=True)
+    return prepare_swings(with_model(trials, model), model)
 
 
 def test_two_workers_choose_causes_to_the_same_bits(prepared):
