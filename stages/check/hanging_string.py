@@ -100,13 +100,12 @@ def find_resting_points(measured: Measurements) -> RestingPoints | None:
     """
     resting = [r for r in measured.recordings if not r.starts_moving][:MAX_TRIALS]
     hands = [measured.pose(recording)[0] for recording in resting]
+    unseen = np.full((len(resting), 2), np.nan)
     by_point: dict[str, np.ndarray] = {}
     for number, recording in enumerate(resting):
         for track in recording.tracks:
-            places = by_point.setdefault(
-                track.point, np.full((len(resting), 2), np.nan)
-            )
-            places[number] = track.rest_place - hands[number][:2]
+            in_each_trial = by_point.setdefault(track.point, unseen.copy())
+            in_each_trial[number] = track.rest_place - hands[number][:2]
     if not by_point:
         return None
     places = np.stack([*by_point.values()], axis=1)  # (K, J, 2)
