@@ -123,18 +123,8 @@ class SimulatedMotions:
         free_share = free.sum(axis=1) / moving.sum(axis=1)
         counts = free[:, 1:].repeat(2, axis=1)  # segments of the path, two to a tick
 
-        # nearest point of each segment to the centre, in half widths and half heights
         target = task.target
-        scaled = (path - target.centre) / target.half_size
-        # coordinate by coordinate: NumPy is slow along an axis of two
-        x, y = scaled[..., 0], scaled[..., 1]
-        segment_x, segment_y = np.diff(x, axis=1), np.diff(y, axis=1)
-        square = segment_x**2 + segment_y**2
-        product = x[:, :-1] * segment_x + y[:, :-1] * segment_y
-        share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)
-        nearest_x = x[:, :-1] + share * segment_x
-        nearest_y = y[:, :-1] + share * segment_y
-        distance = np.hypot(nearest_x, nearest_y)
+        distance = distances_of_segments((path - target.centre) / target.half_size)
         arrival_error = np.zeros_like(distance)
         if target.restricts_arrival:
             half_tick = task.model.arm.tick / 2
@@ -282,6 +272,20 @@ def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
     path = np.repeat(tip, 2, axis=1)[:, :-1]
     path[:, 1::2] = middles
     return path
+
+
+def distances_of_segments(path: np.ndarray) -> np.ndarray:
+    """Compute how near each segment of paths (C, K, 2) comes to zero, (C, K - 1)."""
+    # coordinate by coordinate: NumPy is slow along an axis of two
+    x, y = path[..., 0], path[..., 1]
+    start_x, start_y = x[:, :-1], y[:, :-1]
+    segment_x, segment_y = np.diff(x, axis=1), np.diff(y, axis=1)
+    square = segment_x**2 + segment_y**2
+    product = start_x * segment_x + start_y * segment_y
+    share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)  # of each segment
+    nearest_x = start_x + share * segment_x
+    nearest_y = start_y + share * segment_y
+    return np.asarray(np.hypot(nearest_x, nearest_y))
 
 
 def _contact_ticks(
