@@ -51,6 +51,8 @@ MISFIT = Table(
     t [s]: time of the frame; 0 is the start of the movement
     x [m]: measured less simulated position of the measured point nearest the tip
     y [m]: measured less simulated position of the measured point nearest the tip
+    mesh_x [m]: error of the mesh, which the estimate does not count
+    mesh_y [m]: error of the mesh, which the estimate does not count
     hand_x [m]: position of the hand
     hand_y [m]: position of the hand
     """),
@@ -76,6 +78,8 @@ ESTIMATION_SUMMARY = Table(
     rms_after [m]: centre-line residual after, root mean square
     tip_before [m]: the same of the measured point nearest the tip
     tip_after [m]: the same of the measured point nearest the tip
+    mesh_error [m]: error of the mesh that was subtracted before, root mean square; 0 if
+        the parameters are those of the string on its mesh
     rejected [1] (int): candidates rejected because they did not stay finite
     sentence (text): what the data determine, in words
     """),
@@ -122,6 +126,11 @@ class Estimate:
     def model_error_m(self) -> float:
         """Error of the model on motions unlike those of the trials [m]."""
         return float(self.fit["rms_after"].iloc[0])
+
+    @property
+    def mesh_error_m(self) -> float:
+        """Error of the mesh that the parameters do not make up for [m]."""
+        return float(self.fit["mesh_error"].iloc[0])
 
 
 PREDICTED = Table(

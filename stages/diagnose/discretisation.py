@@ -29,7 +29,6 @@ from stringcast.stages.diagnose.rules import (
     MIN_RESOLVED_TRIALS,
     NEGLIGIBLE_LOG_EVIDENCE,
 )
-from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.hypothesis import ABRUPT_STEP_S, Hypothesis
 from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
@@ -40,7 +39,11 @@ from stringcast.stages.inference.laplace import (
     best_exponents,
     evaluate_fit,
 )
-from stringcast.stages.inference.mesh import refine_mesh, residuals_on_meshes
+from stringcast.stages.inference.mesh import (
+    extrapolate_errors,
+    residuals_on_meshes,
+    simulate_on_meshes,
+)
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -48,7 +51,6 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import parameter_values
 
 # 1 mm of error at the tip in a plain cast, which is corrected
 SEGMENTS = 20
@@ -136,7 +138,7 @@ def subtract_discretisation_error(
         Of the discretisation error at each tip [m].
     """
     corrected = []
-    errors, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
+    errors, uncertainties = extrapolate_errors(hypothesis.model, trials, chi)
     uncertainties = [np.nan_to_num(shape) for shape in uncertainties]
     for trial, error in zip(trials, errors, strict=True):
         points = trial.points - np.nan_to_num(error)
@@ -165,36 +167,9 @@ def discretisation_uncertainty(
 
     chi: exponents of the hypothesis, (P,).
     """
-    _, uncertainties = _extrapolate_errors(trials, hypothesis, chi)
+    _, uncertainties = extrapolate_errors(hypothesis.model, trials, chi)
     uncertainty_m = TrialData(tuple(trials)).tip_rms_by_trial(uncertainties)
     return np.where(np.isnan(uncertainty_m), np.inf, uncertainty_m)
-
-
-def _extrapolate_errors(
-    trials: Sequence[PreparedTrial],
-    hypothesis: Hypothesis,
-    chi: np.ndarray,
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Extrapolate the discretisation error of a hypothesis from three meshes.
-
-    It is NaN in trials in which the simulation on one of them diverges.
-
-    Returns
-    -------
-    errors : list of numpy.ndarray, shape (n, 2)
-        Of the measured points of each trial [m].
-    uncertainties : list of numpy.ndarray, shape (2 n,)
-        By how much two meshes extrapolate otherwise, over sigma.
-    """
-    errors = []
-    uncertainties = []
-    meshes = _simulate_on_meshes(trials, hypothesis, chi, (1, 2, 4))
-    for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
-        limit = richardson_limit(finer, finest)
-        change = limit - richardson_limit(coarse, finer)
-        errors.append(limit - coarse)
-        uncertainties.append((change / trial.sigma[:, None]).ravel())
-    return errors, uncertainties
 
 
 def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialData:
@@ -205,7 +180,8 @@ def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialDat
     """
     if prepared.mesh_is_model:
         return prepared.data
-    meshes = _simulate_on_meshes(prepared.trials, fit.hypothesis, fit.chi, (1, 2))
+    model = fit.hypothesis.model
+    meshes = simulate_on_meshes(model, prepared.trials, fit.chi, (1, 2))
     trials = []
     for k, (coarse, finer) in enumerate(meshes):
         error = np.nan_to_num(richardson_limit(coarse, finer) - coarse)
@@ -292,25 +268,6 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
         slope = (error[1:] - error[0]) / offset[:, None]
         slopes.append(slope * known)
     return MeshCorrection(hypothesis.model.names, fit.chi, tuple(slopes))
-
-
-def _simulate_on_meshes(
-    trials: Sequence[PreparedTrial],
-    hypothesis: Hypothesis,
-    chi: np.ndarray,
-    factors: Sequence[int],
-) -> list[tuple[np.ndarray, ...]]:
-    """Simulate the measured points of each trial, (n, 2) [m], on meshes so much finer.
-
-    Steps are shorter by the same factor.
-    """
-    values = parameter_values(hypothesis.parameters, chi[None])
-    by_mesh = []
-    for factor in factors:
-        model, refined = refine_mesh(hypothesis.model, trials, factor)
-        simulated = measured_points(model, refined, values)
-        by_mesh.append([points[0] for points in simulated])
-    return list(zip(*by_mesh, strict=True))
 
 
 def unresolvable_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:

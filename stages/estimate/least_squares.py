@@ -22,7 +22,7 @@ from stringcast.stages.estimate.matching import (
     matching_rate,
     matching_targets,
 )
-from stringcast.stages.estimate.posterior import sample_posterior
+from stringcast.stages.estimate.posterior import sample_posterior, share_of_blocks
 from stringcast.stages.estimate.result import (
     Candidates,
     Interval,
@@ -36,9 +36,11 @@ from stringcast.stages.inference.covariance import (
     Covariance,
     linearise,
     parameter_covariance,
+    variance_inflation,
 )
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
+from stringcast.stages.inference.mesh_limit import refine_at_mesh_limit
 from stringcast.stages.inference.search import (
     refine_solution,
     screen_candidates,
@@ -113,15 +115,26 @@ def estimate(
     known = None if previous is None else before
     best = search_parameters(likelihood, chosen, iterations, progress, known)
     likelihood, best = refine_solution(likelihood, best)
+    on_mesh = likelihood
+    likelihood, best = refine_at_mesh_limit(on_mesh, best)
+    is_at_limit = likelihood is not on_mesh
 
-    pairs = zip(targets, likelihood.data.trials, strict=True)
-    targets = [replace(target, trial=trial) for target, trial in pairs]
+    mesh_errors = []
+    for number, trial in enumerate(likelihood.data.trials):
+        mesh_errors.append(trial.points - on_mesh.data.trials[number].points)
+        targets[number] = replace(targets[number], trial=trial)
     tried = np.concatenate([tried, best[None]])
     search = Candidates("least squares", tried, matching_rate(targets, tried))
     linear = linearise(likelihood, best)
     interval = _parameter_intervals(likelihood, best, parameter_covariance(linear))
-    draws = sample_posterior(likelihood.parameters, best, linear, seed)
-    return build_estimate(targets, before, best, search, interval, draws)
+    if is_at_limit:
+        share = 1 / variance_inflation(linear)
+    else:
+        sentence = interval.sentence + _describe_mesh(likelihood, best)
+        interval = replace(interval, sentence=sentence)
+        share = share_of_blocks(linear)
+    draws = sample_posterior(likelihood.parameters, best, linear, share, seed)
+    return build_estimate(targets, before, best, search, interval, draws, mesh_errors)
 
 
 def _parameter_intervals(
@@ -139,7 +152,6 @@ def _parameter_intervals(
     )
     sentence += describe_correlated(parameters, determined, covariance.correlation)
     sentence += _describe_misfit(max(likelihood.noise_scales))
-    sentence += _describe_mesh(likelihood, best)
     return Interval(low, high, determined, sentence)
 
 

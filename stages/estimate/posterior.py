@@ -30,7 +30,11 @@ LEAST_MEAN_SQUARE = 1e-6  # of residuals over their noise: data may have none
 
 
 def sample_posterior(
-    parameters: Sequence[Parameter], chi: np.ndarray, linear: Linearisation, seed: int
+    parameters: Sequence[Parameter],
+    chi: np.ndarray,
+    linear: Linearisation,
+    independent_share: float,
+    seed: int,
 ) -> np.ndarray:
     """Draw POSTERIOR_DRAWS exponents (K, P) about a solution (P,), within ranges."""
     values = parameter_values(parameters, chi)
@@ -38,13 +42,17 @@ def sample_posterior(
     change = linear.step[:, None] * linear.slope  # of the residuals with a unit
     weighted = linear.weight * change
     square = np.mean(linear.weight * linear.residual**2)
-    blocks = linear.block.max() + 1
-    measurements = 2 * blocks / len(linear.residual)  # of each residual
-    likelihood = weighted @ change.T * measurements / max(square, LEAST_MEAN_SQUARE)
+    precision = independent_share / max(square, LEAST_MEAN_SQUARE)
+    likelihood = precision * weighted @ change.T
 
     rng = np.random.default_rng([seed, POSTERIOR_DRAWS])
     posterior = NormalInValues(parameters, chi, likelihood, unit)
     return posterior.sample(POSTERIOR_DRAWS, rng)
+
+
+def share_of_blocks(linear: Linearisation) -> float:
+    """Compute the share of residuals that are independent if a block counts as one."""
+    return float(2 * (linear.block.max() + 1) / len(linear.residual))
 
 
 def sample_least_squares_posterior(
@@ -58,4 +66,5 @@ def sample_least_squares_posterior(
     likelihood = Likelihood(TrialData(trials), trials[0].model)
     refined = with_refined_initial_states(likelihood, chi)
     linear = linearise(refined, chi)
-    return sample_posterior(refined.parameters, chi, linear, seed)
+    share = share_of_blocks(linear)
+    return sample_posterior(refined.parameters, chi, linear, share, seed)

@@ -121,6 +121,7 @@ def build_estimate(
     search: Candidates,
     interval: Interval,
     draws: np.ndarray,
+    mesh_errors: Sequence[np.ndarray] | None = None,
 ) -> Estimate:
     """Build the artifact of an estimation.
 
@@ -132,11 +133,17 @@ def build_estimate(
         All candidates that were tried.
     draws
         Exponents that the trials leave possible, (K, P).
+    mesh_errors
+        Error of the mesh that was subtracted from the measured points of each target,
+        (N, 2) [m]; None if the parameters are those of the string on its mesh.
     """
+    if mesh_errors is None:
+        mesh_errors = [np.zeros_like(target.trial.points) for target in targets]
     model = targets[0].trial.model
     parameters = model.parameters
     pair = parameter_values(parameters, np.stack([before, after]))
-    comparison = _compare_with_trials(targets, pair)
+    comparison = _compare_with_trials(targets, pair, mesh_errors[-1])
+    mesh_squares = [np.sum(error**2, axis=1).mean() for error in mesh_errors]
     rate = search.matching_rate
     finite = ~np.isnan(rate)
     rate_before = comparison.matching["before"].mean()
@@ -151,6 +158,7 @@ def build_estimate(
         "rms_after": rms[1],
         "tip_before": tip[0],
         "tip_after": tip[1],
+        "mesh_error": np.sqrt(np.mean(mesh_squares)),
         "rejected": int((~finite).sum()),
         "sentence": bad_fit or interval.sentence,
     }
@@ -196,9 +204,12 @@ class _Comparison:
 
 
 def _compare_with_trials(
-    targets: Sequence[MatchingTarget], pair: np.ndarray
+    targets: Sequence[MatchingTarget], pair: np.ndarray, last_mesh_error: np.ndarray
 ) -> _Comparison:
-    """Simulate the values before and after, (2, P), in each trial, and compare."""
+    """Simulate the values before and after, (2, P), in each trial, and compare.
+
+    last_mesh_error: that was subtracted from the points of the last trial, (N, 2) [m].
+    """
     frames = []
     squares = []
     for target in targets:
@@ -209,15 +220,21 @@ def _compare_with_trials(
         columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
         frames.append(pd.DataFrame(columns))
         squares.append([trial.mean_square_distances(points) for points in simulated])
-    last_misfit = tabulate_misfit(trial, simulated[1])  # of the last trial
+    # of the last trial
+    last_misfit = tabulate_misfit(trial, simulated[1], last_mesh_error)
     rms, tip_rms = np.sqrt(np.mean(squares, axis=0)).T
     matching = pd.concat(frames, ignore_index=True)
     return _Comparison(matching, rms, tip_rms, last_misfit)
 
 
-def tabulate_misfit(trial: PreparedTrial, simulated: np.ndarray) -> pd.DataFrame:
-    """Tabulate how far simulated points (N, 2) [m] leave the tip off in a trial."""
-    misfit = trial.points - simulated  # (N, 2)
+def tabulate_misfit(
+    trial: PreparedTrial, simulated: np.ndarray, mesh_error: np.ndarray
+) -> pd.DataFrame:
+    """Tabulate how far simulated points (N, 2) [m] leave the tip off in a trial.
+
+    mesh_error: that was subtracted from the points of the trial, (N, 2) [m].
+    """
+    misfit = trial.points - mesh_error - simulated  # (N, 2)
     # the point nearest the tip in each frame
     order = np.lexsort((trial.s, trial.frame))
     is_last = np.append(np.diff(trial.frame[order]) > 0, True)
@@ -230,6 +247,8 @@ def tabulate_misfit(trial: PreparedTrial, simulated: np.ndarray) -> pd.DataFrame
         "t": t,
         "x": misfit[tip, 0],
         "y": misfit[tip, 1],
+        "mesh_x": mesh_error[tip, 0],
+        "mesh_y": mesh_error[tip, 1],
         "hand_x": np.interp(t, ticks, path[:, 0]),
         "hand_y": np.interp(t, ticks, path[:, 1]),
     }

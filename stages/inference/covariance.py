@@ -112,6 +112,20 @@ def parameter_covariance(linear: Linearisation) -> Covariance:
     )
 
 
+def variance_inflation(linear: Linearisation) -> float:
+    """Measure how many times correlated residuals widen the variance of parameters.
+
+    It is the mean over what data determine, and 1 at least.
+    """
+    normal = (linear.weight * linear.slope) @ linear.slope.T
+    prior = PRIOR_PRECISION * np.eye(len(normal))
+    inverse = np.linalg.inv(normal + prior)
+    spread = parameter_covariance(linear).matrix - inverse @ prior @ inverse
+    mean_square = np.mean(linear.weight * linear.residual**2)
+    independent = mean_square * np.trace(normal @ inverse)
+    return max(float(np.trace(normal @ spread) / independent), 1.0)
+
+
 def jackknife_covariance(
     slope: np.ndarray,
     residual: np.ndarray,

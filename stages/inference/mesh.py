@@ -17,6 +17,7 @@ from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
@@ -110,6 +111,50 @@ def refine_mesh(
     finer_string = replace(string, points=segments + 1, largest_step=step)
     finer = replace(model, string=finer_string)
     return finer, with_model(trials, finer)
+
+
+def simulate_on_meshes(
+    model: Model,
+    trials: Sequence[PreparedTrial],
+    chi: np.ndarray,
+    factors: Sequence[int],
+) -> list[tuple[np.ndarray, ...]]:
+    """Simulate the measured points of each trial, (n, 2) [m], on meshes so much finer.
+
+    chi: exponents, (P,). factors: times as many segments, of each mesh.
+    """
+    values = parameter_values(model.parameters, chi[None])
+    by_mesh = []
+    for factor in factors:
+        finer, refined = refine_mesh(model, trials, factor)
+        simulated = measured_points(finer, refined, values)
+        by_mesh.append([points[0] for points in simulated])
+    return list(zip(*by_mesh, strict=True))
+
+
+def extrapolate_errors(
+    model: Model, trials: Sequence[PreparedTrial], chi: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Extrapolate the discretisation error at exponents (P,) from three meshes.
+
+    It is NaN in trials in which the simulation on one of them diverges.
+
+    Returns
+    -------
+    errors : list of numpy.ndarray, shape (n, 2)
+        Limit less simulation of the measured points of each trial [m].
+    uncertainties : list of numpy.ndarray, shape (2 n,)
+        By how much two meshes extrapolate otherwise, over sigma.
+    """
+    errors = []
+    uncertainties = []
+    meshes = simulate_on_meshes(model, trials, chi, (1, 2, 4))
+    for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
+        limit = richardson_limit(finer, finest)
+        change = limit - richardson_limit(coarse, finer)
+        errors.append(limit - coarse)
+        uncertainties.append((change / trial.sigma[:, None]).ravel())
+    return errors, uncertainties
 
 
 def residuals_on_meshes(

@@ -186,7 +186,7 @@ def refine_solution(
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
-        best = _refined_exponents(likelihood, chi, max_iterations)
+        best = refine_exponents(likelihood, chi, max_iterations)
         updated = with_refined_initial_states(likelihood, best)
         before = np.log(likelihood.noise_scales)
         after = np.log(updated.noise_scales)
@@ -200,10 +200,13 @@ def refine_solution(
 
 
 @keep_results
-def _refined_exponents(
+def refine_exponents(
     likelihood: Likelihood, chi: np.ndarray, max_iterations: int
 ) -> np.ndarray:
-    """Refine exponents (P,) at given noise and initial states."""
+    """Refine exponents (P,) at given noise and initial states.
+
+    max_iterations: at most.
+    """
     runs = fit_least_squares(likelihood, chi[None], max_iterations, REFINEMENT_MIN_GAIN)
     return np.asarray(runs.chi[0])
 

@@ -7,6 +7,8 @@ little else.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from stringcast.data.artifacts import Motion
@@ -15,8 +17,9 @@ from stringcast.stages.generate.curves import curves_from_motion
 from stringcast.stages.generate.hit_probability import tip_errors
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
 from stringcast.stages.inference.likelihood import BLOCK_S
-from stringcast.stages.inference.mesh import REFERENCE_REFINEMENT, refine_mesh
+from stringcast.stages.inference.mesh import refine_mesh
 from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.model.engine.accuracy import richardson_limit
 
 # Of the tip, one sigma of a coordinate: errors of a mesh that last are taken for
 # parameters, which then err by more than their draws. Measured: see
@@ -55,16 +58,20 @@ def predict_tips(
     tips = _simulate_tips(trial, values)
     tips = tips[np.isfinite(tips).all(axis=(1, 2))]
 
-    # parameters take up an unknown part of the mesh's error
-    _, finer = refine_mesh(model, [trial], REFERENCE_REFINEMENT)
-    mesh_error = _simulate_tips(trial, best) - _simulate_tips(finer[0], best)
-    amplitude = rng.standard_normal((len(tips), 1, 1))
-    tips += amplitude * np.nan_to_num(mesh_error)
+    mesh_error, uncertain_error = _extrapolate_mesh_error(trial, best)
+    if estimate.mesh_error_m > 0:
+        tips -= mesh_error
+    else:  # parameters take up an unknown part of the mesh's error
+        uncertain_error = mesh_error
+    tips += rng.standard_normal((len(tips), 1, 1)) * uncertain_error
     for coordinate in range(2):
         slow_noise = draw_slow_noise(rng, len(tips), trial.times)
         tips[..., coordinate] += SLOW_ERROR_M * slow_noise
 
     misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
+    if misfit is not None:  # the error of the mesh is not among it here
+        last_error = estimate.misfit[["mesh_x", "mesh_y"]].to_numpy()
+        misfit = replace(misfit, tip=misfit.tip + last_error)
     # what the estimate left, less the noise of the points
     noise = np.median(trial.sigma)
     variance = max(estimate.model_error_m**2 / 2 - noise**2, 0.0)
@@ -96,6 +103,24 @@ def draw_slow_noise(
         fresh = np.sqrt(1 - share**2) * noise[:, frame + 1]
         noise[:, frame + 1] = share * noise[:, frame] + fresh
     return noise
+
+
+def _extrapolate_mesh_error(
+    trial: PreparedTrial, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Extrapolate the tip's error by the mesh at values (1, P), (1, F, 2) [m].
+
+    Returns also by how much two meshes extrapolate it otherwise. Both are 0 where a
+    simulation diverges.
+    """
+    tips = []
+    for factor in (1, 2, 4):
+        _, refined = refine_mesh(trial.model, [trial], factor)
+        tips.append(_simulate_tips(refined[0], values))
+    coarse, finer, finest = tips
+    limit = richardson_limit(finer, finest)
+    uncertainty = limit - richardson_limit(coarse, finer)
+    return np.nan_to_num(coarse - limit), np.nan_to_num(uncertainty)
 
 
 def _simulate_tips(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:

@@ -1,19 +1,29 @@
 """The test of a trial against its predictions: calibrated, and it sees what matters."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import JOINTS, MASKS, POINTS, READINGS, Motion, Points
+from stringcast.data.artifacts import (
+    JOINTS,
+    MASKS,
+    POINTS,
+    READINGS,
+    Motion,
+    Observation,
+    Points,
+)
 from stringcast.stages.generate.curves import curves_from_motion, plain_cast
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.generate.repeated_misfit import hand_paths
 from stringcast.stages.inference.likelihood import BLOCK_S
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
-from stringcast.stages.surprise.prediction import draw_slow_noise
+from stringcast.stages.surprise.prediction import draw_slow_noise, predict_tips
 from stringcast.stages.surprise.surprise import (
     ALARM_P_VALUE,
     NEIGHBOURS,
@@ -149,7 +159,7 @@ def planned_cast(arm, t_hit=DURATION_S):
     return Motion(commands, points, *empty, outcome)
 
 
-def known_to(model, rng, share, draws=DRAWS, misfit=None):
+def known_to(model, rng, share, draws=DRAWS, misfit=None, mesh_error_m=0.0):
     """Return an estimate of the right values, known to a share of them."""
     values = model.values({})
     scale = np.exp(share * rng.standard_normal((draws, len(values))))
@@ -157,6 +167,7 @@ def known_to(model, rng, share, draws=DRAWS, misfit=None):
         values=lambda: dict(zip(model.names, values, strict=True)),
         draws=pd.DataFrame(values * scale, columns=model.names),
         model_error_m=np.sqrt(2) * NOISE_M,
+        mesh_error_m=mesh_error_m,
         misfit=pd.DataFrame() if misfit is None else misfit,
     )
 
@@ -168,6 +179,7 @@ def noise_of_last_cast(arm, motion, rng):
     ticks = arm.tick * np.arange(len(hand))
     noise = rng.normal(0, NOISE_M, (2, len(FRAME_TIMES)))
     columns = {"t": FRAME_TIMES, "x": noise[0], "y": noise[1]}
+    columns |= {"mesh_x": 0.0, "mesh_y": 0.0}
     for name, path in zip(("hand_x", "hand_y"), hand.T, strict=True):
         columns[name] = np.interp(FRAME_TIMES, ticks, path)
     return pd.DataFrame(columns)
@@ -252,6 +264,30 @@ def test_a_slow_error_of_the_tip_is_a_surprise(tested):
 
     surprise = tested(joint_angles, turning_slightly_too_far, t_hit=0.2, share=1e-3)
     assert surprise.is_surprising
+
+
+def test_a_string_that_is_known_without_its_mesh_is_predicted_without_it(arm, camera):
+    """The mean prediction on a coarse mesh is then the tip of a far finer one."""
+    coarse = Model(implicit_string(20, 1e-3), arm, camera)
+    fine = Model(implicit_string(153, 1.25e-4), arm, camera)
+    motion = planned_cast(arm, t_hit=0.15)
+    joints = joint_angles(motion)
+    rng = np.random.default_rng(6)
+    points = read_tip(fine, joints, rng)
+    seen = Observation("", points.points, points.readings, points.masks, arm=joints)
+    trial = prepare_trial(coarse, seen)
+    is_early = trial.times <= 0.15  # the string does not whip until then
+    trial = replace(trial, times=trial.times[is_early])
+    tip = fine.simulate_observation(trial.motion, fine.values({})[None], trial.times)
+    tip = tip.points[0, :, -1]
+
+    offsets = []
+    for mesh_error_m in (0.0, 1e-3):
+        estimate = known_to(coarse, rng, 1e-6, 2000, mesh_error_m=mesh_error_m)
+        predicted = predict_tips(trial, motion, None, estimate, rng)
+        offset = predicted.mean(axis=0) - tip
+        offsets.append(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
+    assert offsets[1] < 0.2 * offsets[0]
 
 
 def test_nothing_is_said_without_predictions_or_readings(tested):

@@ -86,10 +86,15 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
     seen = observed(3, noise=1e-9)
     points = seen.points.assign(x=seen.points["x"] + 0.05 * seen.points["s"])
     trial = prepare_trial(model, replace(seen, points=points))
-    misfit = tabulate_misfit(trial, simulated_points(trial, model.values(TRUTH)))
+    mesh_error = np.full((len(points), 2), (0.0, 0.01))
+    corrected = replace(trial, points=trial.points + mesh_error)
+    simulated = simulated_points(trial, model.values(TRUTH))
+    misfit = tabulate_misfit(corrected, simulated, mesh_error)
     assert len(misfit) == len(trial.times)
     np.testing.assert_allclose(misfit["x"], 0.05 * 0.3, atol=1e-4)
     np.testing.assert_allclose(misfit["y"], 0.0, atol=1e-4)
+    np.testing.assert_allclose(misfit["mesh_x"], 0.0)
+    np.testing.assert_allclose(misfit["mesh_y"], 0.01)
     hand = seen.grasp.iloc[::2]
     np.testing.assert_allclose(misfit["t"], hand["t"])
     np.testing.assert_allclose(
@@ -115,6 +120,7 @@ def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypa
     assert counts == [2]  # before and after
     assert made.fit["rms_after"][0] == pytest.approx(np.sqrt(2) * 7e-4, rel=0.05)
     assert made.fit["rms_before"][0] > 0.01
+    assert made.mesh_error_m == 0.0
     misfit = made.misfit[["x", "y"]].to_numpy()
     assert np.std(misfit) == pytest.approx(7e-4, rel=0.2)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stringcast.stages.estimate.posterior import sample_posterior
+from stringcast.stages.estimate.posterior import sample_posterior, share_of_blocks
 from stringcast.stages.inference.covariance import Linearisation
 from stringcast.stages.model.parameter import Parameter, parameter_values
 
@@ -37,7 +37,8 @@ def test_draws_follow_a_valley_to_both_of_its_ends(values):
     Each drag is hardly there in some draws, and nearly alone in others.
     """
     chi, linear = linearise_sum(values, sensitivity=100.0)
-    drawn = parameter_values(BOTH, sample_posterior(BOTH, chi, linear, seed=0))
+    share = share_of_blocks(linear)
+    drawn = parameter_values(BOTH, sample_posterior(BOTH, chi, linear, share, seed=0))
     assert drawn.sum(axis=1) == pytest.approx(np.full(len(drawn), 0.5), abs=0.01)
     for one in drawn.T:
         assert np.quantile(one, 0.1) < 0.1
@@ -51,9 +52,14 @@ def test_a_block_counts_as_one_measurement_of_each_coordinate():
     known = Linearisation(
         linear.residual, linear.slope[:1], linear.step[:1], linear.weight, linear.block
     )
-    drawn = parameter_values(BOTH[:1], sample_posterior(BOTH[:1], chi[:1], known, 0))
+    one, best = BOTH[:1], chi[:1]
+    share = share_of_blocks(known)
+    drawn = parameter_values(one, sample_posterior(one, best, known, share, 0))
     relative = 1 / np.sqrt(2 * BLOCKS)
     assert np.std(drawn) == pytest.approx(relative, rel=0.3)
+    # every residual, where all are independent
+    drawn = parameter_values(one, sample_posterior(one, best, known, 1.0, 0))
+    assert np.std(drawn) == pytest.approx(1 / np.sqrt(BLOCKS * FRAMES), rel=0.3)
 
 
 def test_data_without_noise_leave_hardly_anything_possible():
@@ -65,5 +71,6 @@ def test_data_without_noise_leave_hardly_anything_possible():
         linear.weight,
         linear.block,
     )
-    drawn = parameter_values(BOTH[:1], sample_posterior(BOTH[:1], chi[:1], exact, 0))
+    drawn = sample_posterior(BOTH[:1], chi[:1], exact, share_of_blocks(exact), 0)
+    drawn = parameter_values(BOTH[:1], drawn)
     assert drawn == pytest.approx(np.full(drawn.shape, 0.25), abs=1e-3)

@@ -94,7 +94,7 @@ def draw_cast_set(seed: int) -> CastSet:
     chain = model(*FITTED) if seed < FIRST_FINER_SEED else model(*FINEST)
     casts = [_draw_regular_cast(truth, rng) for _ in range(CASTS + 1)]
     seen = [
-        _observe(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS))
+        observe_cast(f"t{k}", chain, truth, log, rng, NOISE * (k < CASTS))
         for k, log in enumerate(casts)
     ]
     return CastSet(name, truth, tuple(seen[:CASTS]), seen[CASTS])
@@ -143,7 +143,7 @@ def _simulate(chain: Model, truth: np.ndarray, log: pd.DataFrame) -> np.ndarray:
     return chain.simulate_string(motion, truth[None], FRAME_TIMES).points[0]
 
 
-def _observe(
+def observe_cast(
     name: str,
     chain: Model,
     truth: np.ndarray,

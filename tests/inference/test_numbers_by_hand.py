@@ -380,9 +380,7 @@ def test_refinement_ends_where_the_noise_falls_no_further(monkeypatch):
         return SimpleNamespace(noise_scales=(next(scales),))
 
     monkeypatch.setattr(search, "with_refined_initial_states", refine_states)
-    monkeypatch.setattr(
-        search, "_refined_exponents", lambda fitted, chi, count: chi + 1
-    )
+    monkeypatch.setattr(search, "refine_exponents", lambda fitted, chi, count: chi + 1)
     fitted, chi = search.refine_solution(None, 0)
     assert fitted.noise_scales == (0.895,)
     assert chi == 2
@@ -399,9 +397,7 @@ def test_a_round_that_makes_it_worse_is_not_taken_but_for_the_first(monkeypatch)
         fitted, chi = search.refine_solution(None, 0)
         return fitted.noise_scales[0], chi
 
-    monkeypatch.setattr(
-        search, "_refined_exponents", lambda fitted, chi, count: chi + 1
-    )
+    monkeypatch.setattr(search, "refine_exponents", lambda fitted, chi, count: chi + 1)
     assert refine(1.0, 1.1) == (1.1, 1)
     assert refine(1.0, 0.8, 0.9) == (0.8, 1)
 

@@ -512,7 +512,7 @@ def test_exponents_are_refined_by_gains_that_still_add_up(monkeypatch):
         return SimpleNamespace(chi=starts + 1)
 
     monkeypatch.setattr(search, "fit_least_squares", fit)
-    found = search._refined_exponents("likelihood", np.array([0.1, 0.2]), 7)
+    found = search.refine_exponents("likelihood", np.array([0.1, 0.2]), 7)
     assert found == pytest.approx([1.1, 1.2])
     assert asked == [("likelihood", [[0.1, 0.2]], 7, 0.005)]
 
@@ -525,9 +525,7 @@ def test_refinement_takes_ten_rounds_at_most(monkeypatch):
         return SimpleNamespace(noise_scales=(1.0, 0.9 ** len(spans)))
 
     monkeypatch.setattr(search, "with_refined_initial_states", refine)
-    monkeypatch.setattr(
-        search, "_refined_exponents", lambda fitted, chi, count: chi + 1
-    )
+    monkeypatch.setattr(search, "refine_exponents", lambda fitted, chi, count: chi + 1)
     _, chi = search.refine_solution(None, 0)
     assert chi == 10
     assert spans == [0.5, *[np.inf] * 10]

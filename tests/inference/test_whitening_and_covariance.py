@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from stringcast.stages.inference.covariance import jackknife_covariance
+from stringcast.stages.inference.covariance import (
+    Linearisation,
+    jackknife_covariance,
+    variance_inflation,
+)
 from stringcast.stages.inference.huber import HUBER_LIMIT, huber_weights
 from stringcast.stages.inference.whitening import IndependentErrors, LowRankWhitening
 
@@ -55,6 +59,21 @@ def test_intervals_hold_where_neighbours_share_their_noise(blocks):
         held.append(np.abs(change) < sure.half_width_95)
     assert 0.93 < np.mean(held) < 0.98
     assert np.all(np.diag(np.linalg.inv(slope @ slope.T)) < np.var(found, axis=0) / 3)
+
+
+@pytest.mark.parametrize("copies", [1, 4, 20])
+def test_copies_of_a_residual_widen_the_variance_by_their_number(copies):
+    """Every residual is there so many times, with its noise and its slopes."""
+    rng = np.random.default_rng(0)
+    number = np.repeat(np.arange(1200), copies)
+    block = number // 20
+    slope = 30 * rng.standard_normal((4, 1200))
+    noise = rng.standard_normal(1200)
+    change = np.linalg.solve(slope @ slope.T, -slope @ noise)
+    residual = noise + change @ slope
+    repeated = residual[number], slope[:, number]
+    linear = Linearisation(*repeated, np.ones(4), np.ones(len(number)), block)
+    assert variance_inflation(linear) == pytest.approx(copies, rel=0.15)
 
 
 def test_what_no_data_touches_is_as_wide_as_its_range():

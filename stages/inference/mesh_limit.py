@@ -1,0 +1,112 @@
+"""Parameters of the string itself, not of the string on its mesh.
+
+A mesh errs in the same way throughout a slow trial. A fit takes that for parameters: of
+looks at strings A to D with 20 points, the bending stiffness came out 1 to 50 % off, at
+many times its standard error. So the error of the mesh at a solution is subtracted from
+the measured points, the solution is refined, and so on until the error stays the same
+(deferred correction). What is uncertain of the error keeps its shape and has an unknown
+amplitude.
+
+References
+----------
+Stetter 1978, Numer. Math. 29, 425.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.inference.huber import huber_loss
+from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import extrapolate_errors
+from stringcast.stages.inference.search import (
+    refine_exponents,
+    with_refined_initial_states,
+)
+from stringcast.stages.inference.trial_data import ByTrial
+from stringcast.stages.inference.whitening import IndependentErrors
+
+MAX_CORRECTIONS = 12  # strings that the mesh resolves take three to nine
+CORRECTION_ITERATIONS = 3  # of the parameters, between two corrections
+# Corrections in which the change of the error must fall: it may grow for one or two of
+# them, also where it settles
+COMPARED_CORRECTIONS = 3
+# Sum of squares of whitened residuals: a smaller change of the error moves no parameter
+# by more than a standard error
+SETTLED_CHANGE = 1.0
+
+
+def refine_at_mesh_limit(
+    likelihood: Likelihood, chi: np.ndarray
+) -> tuple[Likelihood, np.ndarray]:
+    """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
+
+    The solution stays as it is if all corrections leave more: where a string whips no
+    mesh shows what it does, and data of a chain of mass points are those of its mesh.
+
+    Returns the likelihood of the corrected points and the exponents there.
+    """
+    measured = [trial.points for trial in likelihood.data.trials]
+    subtracted = [np.zeros_like(points) for points in measured]
+    plain = corrected = likelihood  # without and with what is uncertain of the error
+    best = chi
+    changes: list[float] = []  # of all residuals by each correction, sums of squares
+    for _ in range(MAX_CORRECTIONS):
+        trials = plain.data.trials
+        found, uncertainties = extrapolate_errors(plain.model, trials, best)
+        errors = [np.nan_to_num(error) for error in found]  # (n, 2) [m] of each trial
+        moved = []
+        differences = []  # of the residuals over sigma, (1, 2 n) of each trial
+        for number, trial in enumerate(trials):
+            moved.append(replace(trial, points=measured[number] - errors[number]))
+            difference = (errors[number] - subtracted[number]) / trial.sigma[:, None]
+            differences.append(difference.reshape(1, -1))
+        subtracted = errors
+        plain = plain.with_trials(moved)
+        corrected = _with_uncertain_errors(plain, uncertainties)
+
+        whitened = corrected.data.whiten(differences, np.zeros(len(trials), dtype=int))
+        changes.append(float(np.sum(whitened**2)))
+        is_growing = (
+            len(changes) > COMPARED_CORRECTIONS
+            and changes[-1] > changes[-1 - COMPARED_CORRECTIONS]
+        )
+        if changes[-1] < SETTLED_CHANGE or is_growing:
+            break
+        best = refine_exponents(corrected, best, CORRECTION_ITERATIONS)
+        plain = with_refined_initial_states(plain, best)
+
+    loss = _loss_at_noise(likelihood, likelihood.noise_scales, chi)
+    if _loss_at_noise(corrected, likelihood.noise_scales, best) < loss:
+        return corrected, best
+    return likelihood, chi
+
+
+def _with_uncertain_errors(
+    likelihood: Likelihood, uncertainties: ByTrial
+) -> Likelihood:
+    """Add shapes of uncertain errors over sigma (2 n,) to the nuisance of trials."""
+    trials = []
+    for trial, uncertainty in zip(likelihood.data.trials, uncertainties, strict=True):
+        errors = trial.error_model
+        assert isinstance(errors, IndependentErrors)
+        nuisance = np.nan_to_num(uncertainty)[:, None]
+        if errors.nuisance is not None:
+            nuisance = np.hstack([errors.nuisance, nuisance])
+        trials.append(replace(trial, error_model=replace(errors, nuisance=nuisance)))
+    return likelihood.with_trials(trials)
+
+
+def _loss_at_noise(
+    likelihood: Likelihood, noise_scales: tuple[float, ...], chi: np.ndarray
+) -> float:
+    """Compute the loss at exponents (P,) if each trial had noise of a given scale."""
+    trials = []
+    for trial, scale in zip(likelihood.data.trials, noise_scales, strict=True):
+        errors = trial.error_model
+        assert isinstance(errors, IndependentErrors)
+        trials.append(replace(trial, error_model=replace(errors, scale=scale)))
+    residual = likelihood.with_trials(trials).residuals(chi[None])
+    return float(huber_loss(residual, likelihood.limit)[0])
