@@ -7,7 +7,6 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import discretisation
 from stringcast.stages.diagnose.discretisation import (
     LONGEST_STEP_S,
     discretisation_uncertainty,
@@ -17,6 +16,7 @@ from stringcast.stages.diagnose.time_step import (
     MAX_ADDED_UNCERTAINTY,
     lengthen_steps_while_accurate,
 )
+from stringcast.stages.inference import mesh
 from stringcast.stages.inference.hypothesis import ABRUPT_STEP_S, Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -80,7 +80,7 @@ def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
         value = np.nan if step_s > 2e-3 else 0.0
         return [np.full((1, len(trial.s), 2), value) for trial in trials]
 
-    monkeypatch.setattr(discretisation, "measured_points", simulate_points)
+    monkeypatch.setattr(mesh, "measured_points", simulate_points)
     chi = likelihood.model.exponents_of_values(TRUTH)
     longer = lengthen_steps_while_accurate(likelihood, chi, TOLERANCE_M, LONGEST_STEP_S)
     assert longer.model.string.largest_step == 2e-3
