@@ -9,8 +9,12 @@ from itertools import product
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import step_lengths, turn_left, unit_tangents
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.polyline import (
+    step_lengths,
+    turn_left,
+    unit_tangents,
+)
 
 cv2 = LazyModule("cv2")
 

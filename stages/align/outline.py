@@ -28,11 +28,15 @@ from stringcast.stages.align.fit import (
     fit_alignment,
 )
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import Progress, choose_evenly, turn_left
+from stringcast.stages.common import (
+    Progress,
+    choose_evenly,
+)
 from stringcast.stages.extract.segment import uncovered_brightness
 from stringcast.stages.extract.stabilise import MAX_SAMPLES
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.polyline import turn_left
 
 cv2 = LazyModule("cv2")
 

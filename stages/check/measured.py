@@ -18,10 +18,10 @@ from stringcast.stages.common import (
     GRAVITY_M_S2,
     interpolate_rows,
     mad_sigma,
-    step_lengths,
 )
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.string_places import (
     places_wander,
     points_at_arc_lengths,

@@ -13,7 +13,7 @@ from stringcast.stages.check.check import collect_findings
 from stringcast.stages.check.clocks import is_restless, usual_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.common import step_lengths
+from stringcast.stages.model.polyline import step_lengths
 
 # factor and name of the units that people read
 DISPLAY_UNITS = {

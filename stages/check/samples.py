@@ -13,7 +13,7 @@ from stringcast.data.artifacts import JOINTS
 from stringcast.data.rows import spike_mask
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import SUSPICIOUS_LOST_SHARE, CheckedDataset
-from stringcast.stages.common import step_lengths
+from stringcast.stages.model.polyline import step_lengths
 
 GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the length
 MIN_OUTLIERS = 3

@@ -15,10 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import choose_evenly, turn_left
+from stringcast.stages.common import choose_evenly
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import grey_noise
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.polyline import turn_left
 
 cv2 = LazyModule("cv2")
 

@@ -19,12 +19,14 @@ from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import (
     interpolate_rows,
     mad_sigma,
+)
+from stringcast.stages.extract.segment import SegmentedFrame
+from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
+from stringcast.stages.model.polyline import (
     step_lengths,
     turn_left,
     unit_tangents,
 )
-from stringcast.stages.extract.segment import SegmentedFrame
-from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
 
 cv2 = LazyModule("cv2")
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import step_lengths
 from stringcast.stages.extract.centreline import Centreline, UnreadableError
 from stringcast.stages.extract.score import rasterise
+from stringcast.stages.model.polyline import step_lengths
 
 cv2 = LazyModule("cv2")
 

@@ -16,7 +16,8 @@ from stringcast.stages.check.consistency.record import (
     Recording,
     Track,
 )
-from stringcast.stages.common import interpolate_rows, step_lengths
+from stringcast.stages.common import interpolate_rows
+from stringcast.stages.model.polyline import step_lengths
 
 # no point is so much further from the hand than its arc length, relative to the length
 MAX_GAP = 0.25

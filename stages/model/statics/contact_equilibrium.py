@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stringcast.stages.common import turn_left
+from stringcast.stages.model.polyline import turn_left
 from stringcast.stages.model.statics.chain import (
     ANGLE_TOLERANCE_RAD,
     MAX_ITERATIONS,

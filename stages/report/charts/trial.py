@@ -12,7 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.common import MM_PER_M, interpolate_rows, step_lengths
+from stringcast.stages.common import (
+    MM_PER_M,
+    interpolate_rows,
+)
+from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.report.theme import MS_PER_S, STYLE_SHEET
 
 POSE_COUNT = 5  # evenly over the time in which both arm and string are visible
