@@ -133,7 +133,7 @@ def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, An
     recordings = read_recordings(options.files)
     tables, imported, checked = interpret_recordings(recordings, options, console)
     profile = None
-    if imported.added_times:
+    if imported.added_times and any(checked.with_points()):
         imported, checked, profile = fit_clocks(imported, checked)
 
     console.print(column_table(tables))
