@@ -19,7 +19,7 @@ from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.used_frames import trim_trailing_rest
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.discrepancy import best_scale_index
+from stringcast.stages.inference.discrepancy_grid import most_likely_course
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
@@ -112,7 +112,7 @@ def fit_clock(
     hypothesis = Hypothesis(likelihood.model)
     data = attach_discrepancy_model(measured, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
-    scales = best_scale_index(data.log_likelihood_by_scale(residuals))[:, 0]
+    scales = most_likely_course(data.log_likelihood_by_course(residuals))[:, 0]
     return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], scales))
 
 
@@ -128,7 +128,7 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
         replace(model, measured_ranges={**model.measured_ranges, **fixed})
     )
     start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
-    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.scale_indices)
+    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.courses)
     before = unexplained_tip_rms(clock.data, without)
     after = unexplained_tip_rms(clock.data, fit)
     return float(1 - np.sum(after**2) / np.sum(before**2))
@@ -180,9 +180,9 @@ def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
     signs = np.where(fit.chi[others] > 0.5, -1.0, 1.0)
     steps[np.arange(1, size), others] = signs * solver.MAX_DIFFERENCE
     lanes = (chi[:, None] + steps).reshape(-1, size)
-    rows = clock.data.whiten(
-        clock.data.residuals(model, lanes), fit.scale_indices
-    ).reshape(PROFILE_SIZE, size, -1)
+    rows = clock.data.whiten(clock.data.residuals(model, lanes), fit.courses).reshape(
+        PROFILE_SIZE, size, -1
+    )
 
     log_likelihood = np.zeros(PROFILE_SIZE)
     from_middle = fit.chi[others] - 0.5
@@ -200,7 +200,7 @@ def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
 def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
     """Refit from other exponents (P,); return the better of both fits."""
     fit = clock.fit
-    other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.scale_indices)
+    other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.courses)
     return replace(clock, fit=other) if other.log_evidence > fit.log_evidence else clock
 
 

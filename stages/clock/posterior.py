@@ -15,7 +15,7 @@ from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     mixture_over_scales,
 )
-from stringcast.stages.inference.discrepancy import (
+from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     log_scale_prior,
 )
@@ -63,9 +63,9 @@ def clock_posterior(
     for k, trial in enumerate(clock.data.trials):
         string_columns = np.delete(fit.slopes[k], clock.index, axis=0)
         rows = np.concatenate([clock_columns[k], string_columns, background[k]])
-        scale_index = fit.scale_indices[k]
-        white = trial.error_model.whiten(rows, scale_index)
-        residual = trial.error_model.whiten(fit.residuals[k][None], scale_index)[0]
+        course = fit.courses[k]
+        white = trial.error_model.whiten(rows, course)
+        residual = trial.error_model.whiten(fit.residuals[k][None], course)[0]
         normal += white @ white.T
         gradient += white @ residual
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from stringcast.stages.inference.discrepancy import (
+from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     log_scale_prior,
 )
@@ -194,12 +194,12 @@ def _normal_equations_by_trial(
         Slopes times the white residual.
     """
     data = data.for_hypothesis(fit.hypothesis)
-    scale_indices = fit.scale_indices
+    courses = fit.courses
     pairs = zip(fit.slopes, background, strict=True)
     slopes = [np.concatenate(pair) for pair in pairs]
     residuals = [residual[None] for residual in fit.residuals]
-    white_slopes = data.whiten_by_trial(slopes, scale_indices)
-    white_residuals = data.whiten_by_trial(residuals, scale_indices)
+    white_slopes = data.whiten_by_trial(slopes, courses)
+    white_residuals = data.whiten_by_trial(residuals, courses)
     products = []
     gradients = []
     for slope, residual in zip(white_slopes, white_residuals, strict=True):

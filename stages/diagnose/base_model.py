@@ -14,8 +14,13 @@ from stringcast.stages.diagnose.measures import (
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE, Criteria
 from stringcast.stages.inference import solver
+from stringcast.stages.inference.discrepancy_grid import courses_of_scale
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.laplace import (
+    Fit,
+    fit_hypothesis,
+    log_likelihoods,
+)
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
@@ -41,6 +46,8 @@ MAX_SEARCH_ITERATIONS = 20  # before the last horizon
 # of its mesh and a discrepancy
 MAX_LAST_ITERATIONS = 20
 SCREENED_PER_START = 8
+UNKNOWN_MOTION_M = 0.03  # at the tip, of something that begins in a trial
+BEGINNING_ITERATIONS = 12  # of fits to the beginnings of trials
 MAX_SEARCHED_TRIALS = 8  # from many starts; all are fitted from the best of them
 
 
@@ -134,6 +141,32 @@ def _in_wider_range(
     return model.with_ranges(replace(ranges[parameter.name], low=low, high=high))
 
 
+def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
+    """Fit a hypothesis again, first to the beginnings of all trials.
+
+    What begins in the middle of trials and is unknown leads a fit to all of them
+    astray. So the trials are fitted as if an unknown motion began at each onset in
+    turn. The best of these fits goes on with the most likely courses.
+    """
+    hypothesis = fit.hypothesis
+    extended = data.for_hypothesis(hypothesis)
+    starts = []
+    for course in courses_of_scale(UNKNOWN_MOTION_M)[1:]:
+        likelihood = Likelihood(
+            extended,
+            hypothesis.model,
+            np.full(len(data.trials), course),
+            uniform_indices=hypothesis.base_indices,
+        )
+        run = solver.fit_least_squares(
+            likelihood, fit.chi[None], BEGINNING_ITERATIONS, STRONG_LOG_EVIDENCE
+        )
+        starts.append(run.chi[0])
+    by_start = log_likelihoods(data, hypothesis, np.stack(starts)).sum(axis=0)
+    best = starts[int(np.argmax(by_start))]
+    return fit_hypothesis(data, hypothesis, best[None], fit.courses)
+
+
 def widen_ranges_with_causes(
     data: TrialData, fit: Fit, criteria: Criteria
 ) -> Model | None:
@@ -167,12 +200,12 @@ def widen_ranges_with_causes(
 
     # The correction's centre is given by exponents of the narrow range: no range has it
     data = replace(data, mesh_correction=None)
-    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.scale_indices)
+    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.courses)
     left_m = unexplained_tip_rms(data, narrow)
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
         start = widened.model.exponents_of_values(narrow.values)
-        refitted = fit_hypothesis(data, widened, start[None], fit.scale_indices)
+        refitted = fit_hypothesis(data, widened, start[None], fit.courses)
         explained = mean_explained_fraction(
             left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m
         )

@@ -168,14 +168,12 @@ def _fit_more_proposals(
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        scale_indices = sampled_parent.scale_indices
-        fit = fit_hypothesis(
-            sample, hypothesis, proposal.starts, scale_indices, min_gain
-        )
+        courses = sampled_parent.courses
+        fit = fit_hypothesis(sample, hypothesis, proposal.starts, courses, min_gain)
         if sample is not data:
-            scale_indices = parent.scale_indices
+            courses = parent.courses
             start = fit.chi[None]
-            fit = fit_hypothesis(data, hypothesis, start, scale_indices, min_gain)
+            fit = fit_hypothesis(data, hypothesis, start, courses, min_gain)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -228,7 +226,7 @@ def _find_better_parent(
         prepared.data,
         hypothesis,
         starts,
-        parent.scale_indices,
+        parent.courses,
         NEGLIGIBLE_LOG_EVIDENCE,
     )
     gain = other.log_evidence - parent.log_evidence

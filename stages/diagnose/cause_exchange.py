@@ -46,8 +46,8 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
     def fit_exchange(number: int) -> Fit:
         hypothesis, starts = exchanges[number]
         data = state.prepared.data
-        scale_indices = state.fit.scale_indices
-        fit = fit_hypothesis(data, hypothesis, starts, scale_indices, min_gain)
+        courses = state.fit.courses
+        fit = fit_hypothesis(data, hypothesis, starts, courses, min_gain)
         gain = fit.log_evidence - state.fit.log_evidence
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
         return fit

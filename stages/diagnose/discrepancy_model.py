@@ -17,10 +17,8 @@ import numpy as np
 from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import measured_points
-from stringcast.stages.inference.discrepancy import (
-    Discrepancy,
-    marginal_log_likelihood,
-)
+from stringcast.stages.inference.discrepancy import Discrepancy
+from stringcast.stages.inference.discrepancy_grid import marginal_log_likelihood
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     initial_mode_columns,
@@ -127,8 +125,8 @@ def with_random_effects(
         log_likelihoods = []
         for candidate in candidates:
             extended = candidate.for_hypothesis(hypothesis)
-            by_scale = extended.log_likelihood_by_scale(residuals)
-            log_likelihoods.append(marginal_log_likelihood(by_scale).sum())
+            by_course = extended.log_likelihood_by_course(residuals)
+            log_likelihoods.append(marginal_log_likelihood(by_course).sum())
         data = candidates[int(np.argmax(log_likelihoods))]
     return data
 

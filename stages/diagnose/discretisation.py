@@ -228,7 +228,7 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
         data,
         hypothesis,
         fit.chi[None],
-        unmoved.scale_indices,
+        unmoved.courses,
         NEGLIGIBLE_LOG_EVIDENCE,
     )
 

@@ -45,6 +45,7 @@ from stringcast.stages.diagnose.rules import remainder_hides
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
+from stringcast.stages.inference.discrepancy_grid import median_course
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
@@ -113,7 +114,7 @@ class Rivals:
         names = list(self.fits)
         fits = list(self.fits.values())
         count = len(fits)
-        scale_indices = np.array([int(np.median(fits[0].scale_indices))])
+        courses = np.array([median_course(fits[0].courses)])
         residuals = []  # (2 n,) of each rival
         slopes = []  # (P, 2 n)
         for fit in fits:
@@ -128,8 +129,8 @@ class Rivals:
         predicted = {names[0]: residuals[0]}
         for true, other in permutations(range(count), 2):
             difference = residuals[other] - residuals[true]
-            white = trial.whiten([difference[None]], scale_indices)[0]
-            white_slopes = trial.whiten([slopes[other]], scale_indices)
+            white = trial.whiten([difference[None]], courses)[0]
+            white_slopes = trial.whiten([slopes[other]], courses)
             information = LinearisedFit(self.data, fits[other]).information
             normal = information + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)

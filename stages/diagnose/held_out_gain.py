@@ -50,8 +50,8 @@ def held_out_trials_misfit(
             random_effects[name] = shapes + further.random_effects[name]
     together = TrialData(searched.trials + further.trials, random_effects)
     no_discrepancy = np.zeros(len(further.trials), dtype=int)  # to start with
-    scale_indices = np.concatenate([fit.scale_indices, no_discrepancy])
-    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], scale_indices)
+    courses = np.concatenate([fit.courses, no_discrepancy])
+    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], courses)
     misfit_m = unexplained_tip_rms(together, refit)[len(searched.trials) :]
     return bool(misfit_m.max() > criteria.tip_tolerance_m)
 

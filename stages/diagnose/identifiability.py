@@ -20,7 +20,8 @@ from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.linearisation import LinearisedFit
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria
-from stringcast.stages.inference.discrepancy import Discrepancy, marginal_log_likelihood
+from stringcast.stages.inference.discrepancy import Discrepancy
+from stringcast.stages.inference.discrepancy_grid import marginal_log_likelihood
 from stringcast.stages.inference.laplace import Fit, tip_shift_density
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -210,7 +211,7 @@ class _SensitivityAnalysis:
     def __init__(self, data: TrialData, base: Fit, rng: np.random.Generator) -> None:
         no_discrepancy = np.zeros(len(data.trials), dtype=int)
         self.data = data
-        self.base = replace(base, scale_indices=no_discrepancy)
+        self.base = replace(base, courses=no_discrepancy)
         self.linear = LinearisedFit(data, self.base)
         self.noise = [_noise_coefficients(t.discrepancy, rng) for t in data.trials]
 
@@ -313,8 +314,8 @@ class _SensitivityAnalysis:
 
 
 def _log_likelihood(discrepancy: Discrepancy, coefficients: np.ndarray) -> np.ndarray:
-    by_scale = discrepancy.log_likelihood_by_scale(coefficients)
-    return marginal_log_likelihood(by_scale)
+    by_course = discrepancy.log_likelihood_by_course(coefficients)
+    return marginal_log_likelihood(by_course)
 
 
 def _log_occam_factor(response: _EffectResponse) -> np.ndarray:

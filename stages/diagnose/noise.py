@@ -12,9 +12,7 @@ from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     with_initial_states_of,
 )
-from stringcast.stages.inference.discrepancy import (
-    remove_smooth_motion,
-)
+from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.initial_modes import trials_with_reestimated_start
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import Likelihood

@@ -194,8 +194,8 @@ def with_most_probable_causes(
         exponents |= fit.exponents
     together = Hypothesis(state.fit.hypothesis.base, tuple(likeliest))
     start = together.exponents_from(exponents)
-    scale_indices = state.fit.scale_indices
-    fit = fit_hypothesis(state.prepared.data, together, start[None], scale_indices)
+    courses = state.fit.courses
+    fit = fit_hypothesis(state.prepared.data, together, start[None], courses)
     other = with_fit(state, fit)
     return other if other.fit.log_evidence > state.fit.log_evidence else state
 

@@ -11,7 +11,7 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.base_model import fit_base_model
+from stringcast.stages.diagnose.base_model import fit_base_model, fit_from_beginnings
 from stringcast.stages.diagnose.discrepancy_model import with_growth
 from stringcast.stages.diagnose.discretisation import (
     LONGEST_STEP_S,
@@ -188,6 +188,9 @@ def fit_base_model_to_resolved_trials(
 def refine_base_model(prepared: PreparedData) -> PreparedData:
     """Correct the data at the base model until its evidence gains no more."""
     refined = refine_to_convergence(prepared, prepared.base_fit)
+    restarted = fit_from_beginnings(refined.prepared.data, refined.fit)
+    if restarted.log_evidence > refined.fit.log_evidence + STRONG_LOG_EVIDENCE:
+        refined = refine_to_convergence(refined.prepared, restarted)
     return replace(refined.prepared, base_fit=refined.fit)
 
 

@@ -4,12 +4,12 @@
 
 d is zero at the grasp, smooth along the string (squared exponential, 0.35 L) and in
 time (Matern 3/2), and grows over the trial as any small change of the parameters does.
-Its scale s [m], the root mean square at the tip, is unknown in every trial:
-half-Cauchy, on a grid. U are the modes of the trial's initial state.
+When it begins in a trial, and its scale s, are unknown: they are on a grid
+(`discrepancy_grid`). U are the modes of the trial's initial state.
 
-A trial is expanded in a basis of smooth functions of time and place, turned such that
-noise (`noise`) is white and the discrepancy diagonal. Trying a scale then costs
-nothing. What the basis does not reach is noise, and gives its size.
+A trial is expanded in a basis of smooth functions of time and place in which noise
+(`noise`) is white. Turned for an onset, the discrepancy is diagonal in it, and trying a
+scale costs nothing. What the basis does not reach is noise, and gives its size.
 
 U has three kinds of columns, in this order: modes of the initial state, the uncertain
 part of the discretisation error, and random effects of causes.
@@ -28,7 +28,6 @@ from typing import ClassVar
 import numpy as np
 from scipy.linalg import eigh
 from scipy.sparse import csr_array
-from scipy.special import logsumexp
 
 from stringcast.stages.common import mad_sigma, rms
 from stringcast.stages.inference.basis import (
@@ -42,13 +41,16 @@ from stringcast.stages.inference.basis import (
     time_splines,
 )
 from stringcast.stages.inference.content_cache import ContentCache
+from stringcast.stages.inference.discrepancy_grid import (
+    DISCREPANCY_SCALES_M,
+    ONSET_SHARES,
+    sizes_by_onset,
+    split_course,
+)
 from stringcast.stages.inference.noise import MeasuredTrial, gram_roots
 from stringcast.stages.inference.whitening import LowRankWhitening
 
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
-# Scales s [m], each 1.56 times the last; no string is farther off.
-DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
-MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
 MAX_KEPT_TRIALS = 64  # some 4 MB each, in each of two caches
@@ -112,6 +114,9 @@ _KEPT_BASES: ContentCache[NoiseBasis] = ContentCache(MAX_KEPT_TRIALS)
 class Discrepancy:
     """The discrepancy of one trial, in M coefficients for each coordinate.
 
+    Coefficients (C, 2 M) hold those of x first. Noise is white in them. Turned by the
+    rotation of an onset, the discrepancy is diagonal.
+
     Parameters
     ----------
     splines
@@ -121,8 +126,10 @@ class Discrepancy:
         B).
     to_splines
         From coefficients back to splines, (B, M).
+    rotation
+        Of coefficients for each onset, (W, M, M).
     variance
-        Of the coefficients of a discrepancy of s = 1 m, (M,).
+        Of turned coefficients of a discrepancy of s = 1 m, (W, M).
     nuisance_coefficients
         U in coefficients, (2 M, m).
     nuisance_shapes
@@ -132,6 +139,7 @@ class Discrepancy:
     splines: csr_array
     to_coefficients: np.ndarray
     to_splines: np.ndarray
+    rotation: np.ndarray
     variance: np.ndarray
     nuisance_coefficients: np.ndarray
     nuisance_shapes: np.ndarray
@@ -144,7 +152,7 @@ class Discrepancy:
         growth: np.ndarray,
         nuisance: np.ndarray,
     ) -> Discrepancy:
-        """Find the basis of a trial in which noise and discrepancy are diagonal.
+        """Find the basis of a trial, and how it is turned for each onset.
 
         Parameters
         ----------
@@ -164,22 +172,20 @@ class Discrepancy:
     @classmethod
     def _without_nuisance(cls, trial: MeasuredTrial, growth: np.ndarray) -> Discrepancy:
         basis = NoiseBasis.for_trial(trial)
-        splines = basis.splines
-        whiten = basis.whiten
-
-        # Rotated such that the discrepancy is diagonal
-        smooth_root = whiten @ (splines.T @ _kernel_root(trial, growth))
-        variance, rotation = eigh(smooth_root @ smooth_root.T)
-
-        # Back to splines, by the coefficients of the splines themselves
-        to_splines = basis.vectors @ np.linalg.solve(basis.gram, rotation)
-
+        variances = []
+        rotations = []
+        for size in sizes_by_onset(trial.times, growth):
+            smooth_root = basis.whiten @ (basis.splines.T @ _kernel_root(trial, size))
+            variance, rotation = eigh(smooth_root @ smooth_root.T)
+            variances.append(np.maximum(variance, 0.0))
+            rotations.append(rotation)
         return cls(
-            splines,
-            to_coefficients=rotation.T @ whiten,
-            to_splines=to_splines,
-            variance=np.maximum(variance, 0.0),
-            nuisance_coefficients=np.zeros((2 * len(variance), 0)),
+            basis.splines,
+            to_coefficients=basis.whiten,
+            to_splines=np.linalg.solve(basis.gram.T, basis.vectors.T).T,
+            rotation=np.stack(rotations),
+            variance=np.stack(variances),
+            nuisance_coefficients=np.zeros((2 * len(basis.whiten), 0)),
             nuisance_shapes=np.zeros((2 * len(trial.s), 0)),
         )
 
@@ -187,11 +193,10 @@ class Discrepancy:
         """Expand residuals over sigma (C, 2 n) in the basis, (C, 2 M)."""
         count = len(residual)
         points = self.splines.shape[0]
-        number = len(self.to_coefficients)
         by_point = residual.reshape(count, points, 2).transpose(1, 0, 2)
         sums = self.splines.T @ by_point.reshape(points, 2 * count)
-        by_basis = (self.to_coefficients @ sums).reshape(number, count, 2)
-        return np.asarray(by_basis.transpose(1, 0, 2).reshape(count, 2 * number))
+        by_basis = self.to_coefficients @ sums  # (M, 2 C)
+        return np.ascontiguousarray(by_basis.T).reshape(count, 2 * len(by_basis))
 
     def with_nuisance(self, shapes: np.ndarray) -> Discrepancy:
         """Add nuisance shapes (2 n, m) over sigma after the present ones."""
@@ -213,54 +218,55 @@ class Discrepancy:
             nuisance_shapes=np.hstack([shapes, later_shapes]),
         )
 
-    def whiten(self, residual: np.ndarray, scale_index: int) -> np.ndarray:
-        """Compute V(s)^(-1/2) of residuals over sigma (C, 2 n), (C, 2 M)."""
-        return self.whiten_coefficients(self.coefficients(residual), scale_index)
+    def whiten(self, residual: np.ndarray, course: int) -> np.ndarray:
+        """Compute V^(-1/2) of residuals over sigma (C, 2 n), (C, 2 M)."""
+        return self.whiten_coefficients(self.coefficients(residual), course)
 
-    def whiten_coefficients(
-        self,
-        coefficients: np.ndarray,
-        scale_index: int,
-    ) -> np.ndarray:
-        """Compute V(s)^(-1/2) of coefficients (C, 2 M)."""
-        if scale_index not in self._whitenings:
-            deviation = np.sqrt(1.0 + self._variance_at(scale_index))
-            columns = self.nuisance_coefficients / deviation[:, None]
+    def whiten_coefficients(self, coefficients: np.ndarray, course: int) -> np.ndarray:
+        """Compute V^(-1/2) of coefficients (C, 2 M)."""
+        onset, _ = split_course(course)
+        if course not in self._whitenings:
+            deviation = np.sqrt(1.0 + self._variance_of(course))
+            columns = self._turned_nuisance[onset] / deviation[:, None]
             whitening = LowRankWhitening.from_columns(columns)
-            self._whitenings[scale_index] = (deviation, whitening)
-        deviation, whitening = self._whitenings[scale_index]
-        return whitening(coefficients / deviation)
+            self._whitenings[course] = (deviation, whitening)
+        deviation, whitening = self._whitenings[course]
+        return whitening(self._turn(coefficients, onset) / deviation)
 
-    def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
-        """Compute the log-likelihood of coefficients (C, 2 M) at all scales, (C, S).
+    def log_likelihood_by_course(self, coefficients: np.ndarray) -> np.ndarray:
+        """Compute the log-likelihood of coefficients (C, 2 M), (C, W S).
 
         With V = D + U U', by the Woodbury identity and the determinant lemma
         (Harville 1997, Matrix Algebra From a Statistician's Perspective, 18.1-2).
         """
-        precision, covariance, log_determinant = self._nuisance_by_scale
-        weighted = precision[:, None] * coefficients  # (S, C, 2 M)
-        square = np.sum(weighted * coefficients, axis=2)
-        projected = weighted @ self.nuisance_coefficients  # (S, C, m)
-        explained = np.sum((projected @ covariance) * projected, axis=2)
-        log_likelihood = -0.5 * (square - explained + log_determinant[:, None])
-        return np.asarray(log_likelihood.T)
+        by_onset = []
+        for onset, nuisance in enumerate(self._turned_nuisance):
+            precision, covariance, log_determinant = self._nuisance_by_scale[onset]
+            turned = self._turn(coefficients, onset)
+            square = turned**2 @ precision.T  # (C, S)
+            weighted = precision[:, :, None] * nuisance  # (S, 2 M, m)
+            projected = turned @ weighted  # (S, C, m)
+            explained = np.sum((projected @ covariance) * projected, axis=2)
+            by_onset.append(-0.5 * (square - explained.T + log_determinant))
+        return np.concatenate(by_onset, axis=1)
 
-    def posterior_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
+    def posterior_mean(self, coefficients: np.ndarray, course: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
 
         coefficients: of the residual, (2 M,).
         """
-        variance = self._variance_at(scale_index)
-        amplitudes = self._nuisance_amplitudes(coefficients, scale_index)
+        onset, _ = split_course(course)
+        variance = self._variance_of(course)
+        amplitudes = self._nuisance_amplitudes(coefficients, course)
         explained = self.nuisance_coefficients @ amplitudes
-        smooth = (coefficients - explained) * variance / (1.0 + variance)
-        by_spline = self.to_splines @ smooth.reshape(-1, 2)
-        return np.asarray((self.splines @ by_spline).ravel())
+        turned = self._turn((coefficients - explained)[None], onset)
+        smooth = turned * variance / (1.0 + variance)
+        return np.asarray((self.splines @ self._to_splines(smooth, onset)).ravel())
 
     def sample_posterior(
         self,
         coefficients: np.ndarray,
-        scale_index: int,
+        course: int,
         count: int,
         rng: np.random.Generator,
         chosen: np.ndarray,
@@ -269,57 +275,75 @@ class Discrepancy:
 
         chosen: a mask of the m points at which they are wanted, (n,).
         """
-        variance = self._variance_at(scale_index)
+        onset, _ = split_course(course)
+        variance = self._variance_of(course)
         normal = rng.standard_normal((count, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
-        by_basis = scatter.reshape(count, -1, 2).transpose(1, 0, 2)
-        by_spline = self.to_splines @ by_basis.reshape(-1, 2 * count)
+        by_spline = self._to_splines(scatter, onset)
         by_point = (self.splines[chosen] @ by_spline).reshape(-1, count, 2)
         offset = by_point.transpose(1, 0, 2).reshape(count, -1)
-        mean = self.posterior_mean(coefficients, scale_index)
+        mean = self.posterior_mean(coefficients, course)
         return np.asarray(mean[np.repeat(chosen, 2)] + offset)
 
-    def nuisance_mean(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
+    def nuisance_mean(self, coefficients: np.ndarray, course: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
-        amplitudes = self._nuisance_amplitudes(coefficients, scale_index)
+        amplitudes = self._nuisance_amplitudes(coefficients, course)
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
-    def _nuisance_amplitudes(
-        self,
-        coefficients: np.ndarray,
-        scale_index: int,
-    ) -> np.ndarray:
-        precision, covariance, _ = self._nuisance_by_scale
-        weighted = precision[scale_index] * coefficients
-        projected = weighted @ self.nuisance_coefficients
+    def _nuisance_amplitudes(self, coefficients: np.ndarray, course: int) -> np.ndarray:
+        onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
+        precision, covariance, _ = self._nuisance_by_scale[onset]
+        turned = self._turn(coefficients[None], onset)[0]
+        projected = (precision[scale_index] * turned) @ self._turned_nuisance[onset]
         return np.asarray(covariance[scale_index] @ projected)
 
-    def _variance_at(self, scale_index: int) -> np.ndarray:
-        """Variance of the discrepancy's coefficients at a scale, (2 M,)."""
-        scale_m = DISCREPANCY_SCALES_M[scale_index]
-        return np.repeat(scale_m**2 * self.variance, 2)
+    def _turn(self, coefficients: np.ndarray, onset: int) -> np.ndarray:
+        """Turn coefficients (C, 2 M) to those in which a discrepancy is diagonal."""
+        by_axis = coefficients.reshape(-1, len(self.to_coefficients))
+        return np.asarray((by_axis @ self.rotation[onset]).reshape(coefficients.shape))
+
+    def _to_splines(self, turned: np.ndarray, onset: int) -> np.ndarray:
+        """Turn coefficients of an onset (C, 2 M) back to splines, (B, 2 C)."""
+        by_axis = turned.reshape(-1, len(self.to_coefficients))
+        return np.asarray(self.to_splines @ (self.rotation[onset] @ by_axis.T))
+
+    def _variance_of(self, course: int) -> np.ndarray:
+        """Look up the variance of turned coefficients in a course, (2 M,)."""
+        onset, scale_m = split_course(course)
+        return np.tile(scale_m**2 * self.variance[onset], 2)
+
+    @cached_property
+    def _turned_nuisance(self) -> list[np.ndarray]:
+        """U in turned coefficients of each onset, (2 M, m)."""
+        rows = self.nuisance_coefficients.T
+        return [self._turn(rows, onset).T for onset in range(len(ONSET_SHARES))]
 
     @cached_property
     def _whitenings(self) -> dict[int, tuple[np.ndarray, LowRankWhitening]]:
-        """Deviations (2 M,) without nuisance and the rest of V, at scales by index."""
+        """Deviations (2 M,) without nuisance and the rest of V, by course."""
         return {}
 
     @cached_property
-    def _nuisance_by_scale(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute what the nuisance does at each scale.
+    def _nuisance_by_scale(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """What the nuisance does for each onset at each scale.
 
-        Returns D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the
-        nuisance's amplitudes given the data, and ln |V| (S,).
+        D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the nuisance's
+        amplitudes given the data, and ln |V| (S,).
         """
-        scales = range(len(DISCREPANCY_SCALES_M))
-        variance = np.stack([self._variance_at(index) for index in scales])
-        precision = 1.0 / (1.0 + variance)
-        shapes = self.nuisance_coefficients
-        information = (shapes.T * precision[:, None]) @ shapes
-        information += np.eye(shapes.shape[1])
-        log_determinant = np.log1p(variance).sum(axis=1)
-        log_determinant += np.linalg.slogdet(information)[1]
-        return precision, np.linalg.inv(information), log_determinant
+        by_onset = []
+        for variance_per_m2, nuisance in zip(
+            self.variance, self._turned_nuisance, strict=True
+        ):
+            per_axis = np.outer(DISCREPANCY_SCALES_M**2, variance_per_m2)
+            variance = np.tile(per_axis, 2)
+            precision = 1.0 / (1.0 + variance)
+            information = (nuisance.T * precision[:, None]) @ nuisance
+            information += np.eye(nuisance.shape[1])
+            log_determinant = np.log1p(variance).sum(axis=1)
+            log_determinant += np.linalg.slogdet(information)[1]
+            covariance = np.linalg.inv(information)
+            by_onset.append((precision, covariance, log_determinant))
+        return by_onset
 
 
 _KEPT_DISCREPANCIES: ContentCache[Discrepancy] = ContentCache(MAX_KEPT_TRIALS)
@@ -345,25 +369,6 @@ def remove_smooth_motion(
     by_spline = np.linalg.lstsq(gram, sums, rcond=RANK_TOLERANCE)[0]
     rest = residual - splines @ by_spline
     return rest, float(mad_sigma(rest) / np.sqrt(free_share))
-
-
-def log_scale_prior() -> np.ndarray:
-    """Compute the log prior of the scales, (S,): half-Cauchy between midpoints."""
-    scales = DISCREPANCY_SCALES_M
-    midpoints = np.sqrt(scales[1:-1] * scales[2:])
-    edges = np.concatenate([[0.0, scales[1] / 2], midpoints, [np.inf]])
-    cumulative = 2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M)
-    return np.asarray(np.log(np.diff(cumulative)))
-
-
-def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Integrate the scale out of log-likelihoods (..., S)."""
-    return np.asarray(logsumexp(log_likelihoods + log_scale_prior(), axis=-1))
-
-
-def best_scale_index(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the index of the most probable scale, given log-likelihoods (..., S)."""
-    return np.asarray(np.argmax(log_likelihoods + log_scale_prior(), axis=-1))
 
 
 def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference.batch import normalised_residuals
-from stringcast.stages.inference.discrepancy import best_scale_index
+from stringcast.stages.inference.discrepancy_grid import most_likely_course
 from stringcast.stages.inference.huber import HUBER_LIMIT
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import INITIAL_MODES, PreparedTrial
@@ -250,13 +250,13 @@ def trials_with_reestimated_start(
     data = data.for_hypothesis(hypothesis)
     values = parameter_values(hypothesis.parameters, fit.chi[None])[0]
     residuals = data.residuals(hypothesis.model, fit.chi[None])
-    by_scale = data.log_likelihood_by_scale(residuals)[:, 0]
-    scale_indices = best_scale_index(by_scale).tolist()
+    by_course = data.log_likelihood_by_course(residuals)[:, 0]
+    courses = most_likely_course(by_course).tolist()
     trials = []
-    for trial, scale_index in zip(data.trials, scale_indices, strict=True):
+    for trial, course in zip(data.trials, courses, strict=True):
         extended = replace(trial, model=hypothesis.model)
         if trial.initial_state is not None:
-            extended = _most_likely_initial_state(trial, extended, scale_index, values)
+            extended = _most_likely_initial_state(trial, extended, course, values)
         trials.append(extended)
     return tuple(trials)
 
@@ -289,7 +289,7 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
 def _most_likely_initial_state(
     trial: PreparedTrial,
     extended: PreparedTrial,
-    scale_index: int,
+    course: int,
     values: np.ndarray,
 ) -> PreparedTrial:
     """Find the most likely initial state with values (P,) of the extended model.
@@ -304,6 +304,6 @@ def _most_likely_initial_state(
     rest = trial.discrepancy.replace_leading_nuisance(shapes[:, :0], count)
 
     def whiten(residual: np.ndarray) -> np.ndarray:
-        return rest.whiten(residual + displaced, scale_index)
+        return rest.whiten(residual + displaced, course)
 
     return fit_initial_state(extended, extended, values, whiten, MODES_MIN_GAIN)

@@ -4,7 +4,7 @@
                 + ln p(theta | h)                 log prior of the causes' amplitudes
                 + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
-y_k are the coefficients of trial k, with the scale of its discrepancy integrated out
+y_k are the coefficients of trial k, with the course of its discrepancy integrated out
 (`discrepancy`); H is the curvature at the best theta. The prior of an amplitude of a
 cause is one of its tip shift: the root mean square, over all frames of all trials, of
 how far it moves the tip [m]. It is half-normal of several widths. So causes of any unit
@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.discrepancy import (
-    best_scale_index,
+from stringcast.stages.inference.discrepancy_grid import (
     marginal_log_likelihood,
+    most_likely_course,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
@@ -66,10 +66,10 @@ class Fit:
         Of the residuals with chi, (P, 2 n) of each trial.
     width
         Of chi, over which these were differenced, (P,).
-    scale_indices
-        The index of the most probable scale of each trial's discrepancy, (K,).
+    courses
+        The most probable course of each trial's discrepancy, (K,).
     log_likelihood_by_trial
-        Log-likelihood of each trial, whatever that scale, (K,).
+        Log-likelihood of each trial, whatever that course, (K,).
     log_evidence
         Ln p(y | h).
     log_evidence_error
@@ -83,7 +83,7 @@ class Fit:
     residuals: ByTrial
     slopes: ByTrial
     width: np.ndarray
-    scale_indices: np.ndarray
+    courses: np.ndarray
     log_likelihood_by_trial: np.ndarray
     log_evidence: float
     log_evidence_error: float = 0.0
@@ -113,21 +113,21 @@ def fit_hypothesis(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    scale_indices: np.ndarray,
+    courses: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
-    """Fit a hypothesis: its parameters and the discrepancies' scales.
+    """Fit a hypothesis: its parameters and the discrepancies' courses.
 
     Parameters
     ----------
     starts
         Exponents, (C, P).
-    scale_indices
-        Indices of the scales to start with, (K,).
+    courses
+        Courses to start with, (K,).
     min_gain
         A step that gains less of the log-likelihood ends its turn.
     """
-    chi, width = best_exponents(data, hypothesis, starts, scale_indices, min_gain)
+    chi, width = best_exponents(data, hypothesis, starts, courses, min_gain)
     return evaluate_fit(data, hypothesis, chi, width)
 
 
@@ -136,7 +136,7 @@ def best_exponents(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    scale_indices: np.ndarray,
+    courses: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the exponents of a fit (P,), and over which widths (P,) to difference them.
@@ -148,25 +148,25 @@ def best_exponents(
     uniform = hypothesis.base_indices
 
     # Several starts side by side; the best of them goes on
-    likelihood = Likelihood(data, model, scale_indices, uniform_indices=uniform)
+    likelihood = Likelihood(data, model, courses, uniform_indices=uniform)
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
     runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
-    by_scale = data.log_likelihood_by_scale(data.residuals(model, runs.chi))
-    best = int(np.argmax(marginal_log_likelihood(by_scale).sum(axis=0)))
+    by_course = data.log_likelihood_by_course(data.residuals(model, runs.chi))
+    best = int(np.argmax(marginal_log_likelihood(by_course).sum(axis=0)))
     run = runs.select(best)
-    updated = best_scale_index(by_scale[:, best])
+    updated = most_likely_course(by_course[:, best])
 
-    # The scales and one step of the parameters in turn
+    # The courses and one step of the parameters in turn
     for _ in range(solver.MAX_ITERATIONS):
-        if (updated != likelihood.scale_indices).any():
-            likelihood = replace(likelihood, scale_indices=updated)
+        if (updated != likelihood.courses).any():
+            likelihood = replace(likelihood, courses=updated)
             run.reweight(likelihood)
         elif not run.active.any():
             break
         solver.iterate_runs(likelihood, run, min_gain)
-        by_scale = data.log_likelihood_by_scale(data.residuals(model, run.chi))
-        updated = best_scale_index(by_scale[:, 0])
+        by_course = data.log_likelihood_by_course(data.residuals(model, run.chi))
+        updated = most_likely_course(by_course[:, 0])
     return run.chi[0], run.width[0]
 
 
@@ -176,7 +176,7 @@ def log_likelihoods(
     """Compute the log-likelihood of each trial at exponents (C, P), (K, C)."""
     data = data.for_hypothesis(hypothesis)
     residuals = data.residuals(hypothesis.model, chi)
-    return marginal_log_likelihood(data.log_likelihood_by_scale(residuals))
+    return marginal_log_likelihood(data.log_likelihood_by_course(residuals))
 
 
 def evaluate_fit(
@@ -194,9 +194,9 @@ def evaluate_fit(
     residuals = [row[0] for row in rows]
 
     # Log likelihood of the trials
-    by_scale = data.log_likelihood_by_scale(rows)[:, 0]
-    scale_indices = best_scale_index(by_scale)
-    by_trial = marginal_log_likelihood(by_scale)
+    by_course = data.log_likelihood_by_course(rows)[:, 0]
+    courses = most_likely_course(by_course)
+    by_trial = marginal_log_likelihood(by_course)
 
     # Slopes, and residuals with each of the A amplitudes absent in turn
     amplitudes: list[int] = []
@@ -210,7 +210,7 @@ def evaluate_fit(
         slopes, _ = _residual_slopes(
             data, hypothesis, chi, width, residuals, without_one
         )
-        white = data.whiten(slopes, scale_indices)
+        white = data.whiten(slopes, courses)
         width = solver.difference_widths(white[None], np.ones(1))[0]
     slopes, others = _residual_slopes(
         data, hypothesis, chi, width, residuals, without_one
@@ -231,12 +231,12 @@ def evaluate_fit(
     # Log volume of the posterior
     precision = np.full(len(chi), PRIOR_PRECISION)
     precision[amplitudes] = AMPLITUDE_PRECISION
-    white_slopes = data.whiten(slopes, scale_indices)
+    white_slopes = data.whiten(slopes, courses)
     curvature = white_slopes @ white_slopes.T + np.diag(precision)
     volume = log_volume(curvature)
 
     # What one more step promises
-    white_residual = data.whiten([row[:1] for row in rows], scale_indices)[0]
+    white_residual = data.whiten([row[:1] for row in rows], courses)[0]
     gradient = white_slopes @ white_residual
     base = hypothesis.base_indices
     gradient[base] += PRIOR_PRECISION * (chi[base] - 0.5)
@@ -247,7 +247,7 @@ def evaluate_fit(
         residuals,
         slopes,
         width,
-        scale_indices,
+        courses,
         by_trial,
         float(by_trial.sum() + prior + volume),
         solver.promised_gain(curvature, gradient, chi),
@@ -304,7 +304,7 @@ def mean_discrepancy(data: TrialData, fit: Fit) -> ByTrial:
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
         discrepancy = trial.discrepancy
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
-        means.append(discrepancy.posterior_mean(coefficients, fit.scale_indices[k]))
+        means.append(discrepancy.posterior_mean(coefficients, fit.courses[k]))
     return means
 
 
@@ -323,7 +323,7 @@ def sample_discrepancy_tip_rms(
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
         at_tip = discrepancy.sample_posterior(
             coefficients,
-            fit.scale_indices[k],
+            fit.courses[k],
             DISCREPANCY_DRAWS,
             rng,
             trial.is_tip,

@@ -124,46 +124,46 @@ class TrialData:
                 residuals[k][diverged] = DIVERGED_RESIDUAL
         return residuals
 
-    def whiten(self, residuals: ByTrial, scale_indices: np.ndarray) -> np.ndarray:
+    def whiten(self, residuals: ByTrial, courses: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).
 
-        scale_indices: of the scale of each trial's discrepancy, (K,).
+        courses: of each trial's discrepancy, (K,).
         """
-        return np.concatenate(self.whiten_by_trial(residuals, scale_indices), axis=1)
+        return np.concatenate(self.whiten_by_trial(residuals, courses), axis=1)
 
     def whiten_by_trial(
         self,
         residuals: ByTrial,
-        scale_indices: np.ndarray,
+        courses: np.ndarray,
     ) -> ByTrial:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
         for k, trial in enumerate(self.trials):
-            white.append(trial.error_model.whiten(residuals[k], scale_indices[k]))
+            white.append(trial.error_model.whiten(residuals[k], courses[k]))
         return white
 
-    def log_likelihood_by_scale(self, residuals: ByTrial) -> np.ndarray:
-        """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, S).
+    def log_likelihood_by_course(self, residuals: ByTrial) -> np.ndarray:
+        """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, W S).
 
-        It is that at all scales of the trial's discrepancy.
+        It is that for all courses of the trial's discrepancy.
         """
         by_trial = []
         for trial, residual in zip(self.trials, residuals, strict=True):
             coefficients = trial.discrepancy.coefficients(residual)
-            by_trial.append(trial.discrepancy.log_likelihood_by_scale(coefficients))
+            by_trial.append(trial.discrepancy.log_likelihood_by_course(coefficients))
         return np.stack(by_trial)
 
     def without_nuisance(
         self,
         residuals: ByTrial,
-        scale_indices: np.ndarray,
+        courses: np.ndarray,
     ) -> ByTrial:
         """Subtract what the nuisance most likely explains of residuals (2 n,)."""
         rest = []
         for k, trial in enumerate(self.trials):
             discrepancy = trial.discrepancy
             coefficients = discrepancy.coefficients(residuals[k][None])[0]
-            explained = discrepancy.nuisance_mean(coefficients, scale_indices[k])
+            explained = discrepancy.nuisance_mean(coefficients, courses[k])
             rest.append(residuals[k] - explained)
         return rest
 

@@ -21,12 +21,14 @@ from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_mode
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.rules import is_supported
 from stringcast.stages.inference.discrepancy import (
-    DISCREPANCY_SCALES_M,
-    MEDIAN_SCALE_M,
     Discrepancy,
     _kernel_root,
-    log_scale_prior,
     remove_smooth_motion,
+)
+from stringcast.stages.inference.discrepancy_grid import (
+    DISCREPANCY_SCALES_M,
+    MEDIAN_SCALE_M,
+    log_scale_prior,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
@@ -93,7 +95,7 @@ def test_likelihood_of_coefficients_is_that_of_a_dense_covariance(
     mapping = discrepancy.coefficients(np.eye(len(covariances[0])))
     residual = np.random.default_rng(1).standard_normal((2, len(mapping)))
     coefficients = discrepancy.coefficients(residual)
-    by_scale = discrepancy.log_likelihood_by_scale(coefficients)
+    by_scale = discrepancy.log_likelihood_by_course(coefficients)
     for number in (0, 6, 12):
         dense = mapping.T @ covariances[number] @ mapping
         normal = multivariate_normal(np.zeros(len(dense)), dense)
@@ -170,7 +172,7 @@ def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
     assert not discrepancy.variance.any()
     diverged = np.full((1, 2 * len(trial.s)), DIVERGED_RESIDUAL)
     coefficients = discrepancy.coefficients(diverged)
-    assert np.isfinite(discrepancy.log_likelihood_by_scale(coefficients)).all()
+    assert np.isfinite(discrepancy.log_likelihood_by_course(coefficients)).all()
 
 
 @pytest.mark.parametrize(("shift", "is_accepted"), [(10.0, True), (0.1, False)])

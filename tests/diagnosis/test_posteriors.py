@@ -17,7 +17,7 @@ from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.selection_step import SelectionStep
-from stringcast.stages.inference.discrepancy import log_scale_prior
+from stringcast.stages.inference.discrepancy_grid import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 
 
@@ -49,7 +49,7 @@ def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
         hypothesis=None,
         residuals=residuals,
         slopes=slopes,
-        scale_indices=sizes,
+        courses=sizes,
         chi=np.zeros(2),
     )
     scale = np.repeat(sizes / np.sqrt(weights), 20)
@@ -336,7 +336,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
         return SimpleNamespace(
             hypothesis=hypothesis,
             exponents={},
-            scale_indices=None,
+            courses=None,
             log_evidence=evidence,
         )
 

@@ -9,14 +9,23 @@ from scipy.stats import multivariate_normal
 
 from stringcast.stages.inference import basis, initial_state, noise
 from stringcast.stages.inference.discrepancy import (
-    DISCREPANCY_SCALES_M,
     Discrepancy,
     NoiseBasis,
     _kernel_root,
 )
+from stringcast.stages.inference.discrepancy_grid import (
+    DISCREPANCY_SCALES_M,
+    ONSET_SHARES,
+    log_course_prior,
+    most_likely_course,
+    sizes_by_onset,
+)
 
 FRAMES, POINTS, LENGTH = 9, 6, 0.3
+SCALES = len(DISCREPANCY_SCALES_M)
 SCALE_INDEX = int(np.searchsorted(DISCREPANCY_SCALES_M, 2e-3))
+LATE = 3 * SCALES + SCALE_INDEX  # a course that begins in the middle
+GROWTH = np.linspace(0.2, 1.5, FRAMES)
 
 
 @pytest.fixture
@@ -40,7 +49,7 @@ def shapes():
 
 @pytest.fixture
 def errors(film, shapes):
-    return Discrepancy.for_trial(film, np.linspace(0.2, 1.5, FRAMES), shapes)
+    return Discrepancy.for_trial(film, GROWTH, shapes)
 
 
 def test_a_discrepancy_covaries_as_its_kernel_says(film):
@@ -76,51 +85,100 @@ def test_white_noise_is_white_in_the_coefficients(errors):
     assert coefficients.T @ coefficients == pytest.approx(np.eye(count), abs=1e-4)
 
 
-def test_the_likelihood_of_every_scale_is_that_of_the_dense_covariance(errors, shapes):
+def dense_discrepancy(film, errors, course):
+    """Compute the covariance of a course in coefficients from that of points."""
+    onset, scale_index = divmod(course, SCALES)
+    root = _kernel_root(film, sizes_by_onset(film.times, GROWTH)[onset])
+    at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
+    at_points[::2, : root.shape[1]] = root  # x
+    at_points[1::2, root.shape[1] :] = root  # y
+    columns = errors.coefficients(at_points.T).T
+    return DISCREPANCY_SCALES_M[scale_index] ** 2 * columns @ columns.T
+
+
+def test_the_likelihood_of_every_course_is_that_of_the_dense_covariance(
+    film, errors, shapes
+):
     residuals = 3.0 * np.random.default_rng(2).standard_normal((4, len(shapes)))
     coefficients = errors.coefficients(residuals)
-    found = errors.log_likelihood_by_scale(coefficients)
-    assert found.shape == (4, len(DISCREPANCY_SCALES_M))
+    found = errors.log_likelihood_by_course(coefficients)
+    assert found.shape == (4, len(ONSET_SHARES) * SCALES)
     columns = errors.coefficients(shapes.T).T
     count = coefficients.shape[1]
-    for index, scale_m in enumerate(DISCREPANCY_SCALES_M[:15]):
-        smooth = np.repeat(scale_m**2 * errors.variance, 2)
-        covariance = np.eye(count) + np.diag(smooth) + columns @ columns.T
-        dense = multivariate_normal(cov=covariance).logpdf(coefficients)
-        expected = dense + 0.5 * count * np.log(2 * np.pi)
-        assert found[:, index] == pytest.approx(expected, rel=1e-8)
-        white = errors.whiten(residuals, index)
-        square = np.sum(coefficients.T * np.linalg.solve(covariance, coefficients.T), 0)
-        assert np.sum(white**2, axis=1) == pytest.approx(square)
+    for onset in range(len(ONSET_SHARES)):
+        for scale_index in (0, 4, 9, 14):
+            course = onset * SCALES + scale_index
+            smooth = dense_discrepancy(film, errors, course)
+            covariance = np.eye(count) + smooth + columns @ columns.T
+            dense = multivariate_normal(cov=covariance).logpdf(coefficients)
+            expected = dense + 0.5 * count * np.log(2 * np.pi)
+            assert found[:, course] == pytest.approx(expected, rel=1e-6)
+            white = errors.whiten(residuals, course)
+            pull = np.linalg.solve(covariance, coefficients.T)
+            square = np.sum(coefficients.T * pull, axis=0)
+            assert np.sum(white**2, axis=1) == pytest.approx(square)
 
 
-def test_residuals_are_split_into_discrepancy_nuisance_and_noise(errors, shapes):
+@pytest.mark.parametrize("course", [SCALE_INDEX, LATE])
+def test_residuals_are_split_into_discrepancy_nuisance_and_noise(
+    film, errors, shapes, course
+):
     residual = 3.0 * np.random.default_rng(2).standard_normal(len(shapes))
     coefficients = errors.coefficients(residual[None])[0]
     columns = errors.coefficients(shapes.T).T
-    variance = DISCREPANCY_SCALES_M[SCALE_INDEX] ** 2 * errors.variance
-    smooth = np.diag(np.repeat(variance, 2))
+    smooth = dense_discrepancy(film, errors, course)
     covariance = np.eye(len(columns)) + smooth + columns @ columns.T
     pull = np.linalg.solve(covariance, coefficients)
-    mean = errors.posterior_mean(coefficients, SCALE_INDEX)
+    mean = errors.posterior_mean(coefficients, course)
     found = errors.coefficients(mean[None])[0]
     assert found == pytest.approx(smooth @ pull, abs=1e-4)
-    explained = errors.nuisance_mean(coefficients, SCALE_INDEX)
+    explained = errors.nuisance_mean(coefficients, course)
     assert explained == pytest.approx(shapes @ (columns.T @ pull))
 
 
-def test_discrepancies_scatter_by_what_noise_hides(errors, film):
-    """Their variance in coefficients is that of the discrepancy over 1 + that."""
-    coefficients = np.zeros(2 * len(errors.variance))
+@pytest.mark.parametrize("course", [SCALE_INDEX, LATE])
+def test_discrepancies_scatter_by_what_noise_hides(film, errors, course):
+    """Their covariance in coefficients is C - C (1 + C)^-1 C."""
+    smooth = dense_discrepancy(film, errors, course)
+    count = len(smooth)
     rng = np.random.default_rng(3)
     everywhere = np.ones(FRAMES * POINTS, dtype=bool)
-    drawn = errors.sample_posterior(coefficients, SCALE_INDEX, 4000, rng, everywhere)
-    variance = DISCREPANCY_SCALES_M[SCALE_INDEX] ** 2 * errors.variance
+    drawn = errors.sample_posterior(np.zeros(count), course, 4000, rng, everywhere)
+    left = smooth - smooth @ np.linalg.solve(np.eye(count) + smooth, smooth)
     to_points = film_splines(errors) @ errors.to_splines
-    expected = (to_points**2) @ (variance / (1 + variance))
+    half = count // 2
+    expected = np.einsum("ni,ij,nj->n", to_points, left[:half, :half], to_points)
     assert drawn.var(axis=0) == pytest.approx(np.repeat(expected, 2), rel=0.15)
     x, y = drawn[:, ::2], drawn[:, 1::2]
     assert np.mean(x * y) == pytest.approx(0.0, abs=0.1 * np.mean(x**2))
+
+
+@pytest.mark.parametrize("onset", [0, 2, 4])
+def test_when_a_discrepancy_begins_is_found(film, onset):
+    """Draw twenty of 20 mm that begin at the same time, and add noise."""
+    film.times = np.linspace(2.0, 3.2, FRAMES)
+    errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
+    rng = np.random.default_rng(4)
+    root = _kernel_root(film, sizes_by_onset(film.times, GROWTH)[onset])
+    amplitudes = rng.standard_normal((20, root.shape[1], 2))
+    residuals = (0.02 * root @ amplitudes).reshape(20, -1)
+    residuals += rng.standard_normal(residuals.shape)
+    likelihood = errors.log_likelihood_by_course(errors.coefficients(residuals))
+    found = most_likely_course(likelihood) // SCALES
+    assert np.median(found) == onset
+
+
+def test_every_onset_is_as_likely_before_the_data_speak():
+    by_onset = np.exp(log_course_prior()).reshape(len(ONSET_SHARES), SCALES)
+    assert by_onset.sum(axis=1) == pytest.approx(1 / len(ONSET_SHARES))
+
+
+def test_a_discrepancy_is_a_hundredth_before_its_onset(film):
+    sizes = sizes_by_onset(film.times, GROWTH)
+    assert sizes[0] == pytest.approx(GROWTH)
+    middle = film.times[0] + 0.5 * np.ptp(film.times)
+    expected = np.where(film.times < middle, 0.01 * GROWTH, GROWTH)
+    assert sizes[3] == pytest.approx(expected)
 
 
 def film_splines(errors):

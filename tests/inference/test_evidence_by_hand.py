@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from stringcast.stages.inference import covariance, discrepancy, laplace, solver
+from stringcast.stages.inference import covariance, discrepancy_grid, laplace, solver
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -17,7 +17,7 @@ from stringcast.stages.model.parametrised import Parametrised
 from stringcast.stages.model.string import String
 
 TipMass, CameraRotation = find_effects(["tip_mass", "camera_rotation"])
-SCALES = len(discrepancy.DISCREPANCY_SCALES_M)
+COURSES = len(discrepancy_grid.log_course_prior())
 UNIT = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 
@@ -25,7 +25,7 @@ FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 class LinearData:
     """Two trials whose residuals are linear in three exponents.
 
-    One scale of the discrepancy is likely in each, and numbers are its deviations.
+    One course of the discrepancy is likely in each, and numbers are its deviations.
     """
 
     likely = np.array([2, 5])
@@ -43,12 +43,12 @@ class LinearData:
         pairs = zip(self.slopes, self.offsets, strict=True)
         return [chi @ slope + offset for slope, offset in pairs]
 
-    def whiten(self, residuals, scale_indices):
-        pairs = zip(residuals, scale_indices, strict=True)
+    def whiten(self, residuals, courses):
+        pairs = zip(residuals, courses, strict=True)
         return np.concatenate([rows / index for rows, index in pairs], axis=1)
 
-    def log_likelihood_by_scale(self, residuals):
-        found = np.full((2, len(residuals[0]), SCALES), -1e6)
+    def log_likelihood_by_course(self, residuals):
+        found = np.full((2, len(residuals[0]), COURSES), -1e6)
         for k, index in enumerate(self.likely):
             found[k, :, index] = -0.5 * np.sum((residuals[k] / index) ** 2, axis=1)
         return found
@@ -76,8 +76,8 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
     data = LinearData()
     chi = np.array(chi)
     fit = laplace.evaluate_fit(data, hypothesis_of(FAR), chi)
-    assert list(fit.scale_indices) == [2, 5]
-    prior = discrepancy.log_scale_prior()
+    assert list(fit.courses) == [2, 5]
+    prior = discrepancy_grid.log_course_prior()
     by_trial = []
     curvature = np.diag([12.0, 1e-9, 12.0])
     squares = []
@@ -137,29 +137,29 @@ def test_the_evidence_is_wrong_by_what_the_best_exponents_would_gain():
 class ScaledData(LinearData):
     """The same trials, whose discrepancies are normal of any scale from 1 on."""
 
-    def log_likelihood_by_scale(self, residuals):
-        scales = 1.0 + np.arange(SCALES)
+    def log_likelihood_by_course(self, residuals):
+        scales = 1.0 + np.arange(COURSES)
         found = []
         for rows in residuals:
             squares = np.sum(rows**2, axis=1)[:, None]
             found.append(-0.5 * squares / scales**2 - rows.shape[1] * np.log(scales))
         return np.stack(found)
 
-    def whiten_by_trial(self, residuals, scale_indices):
-        pairs = zip(residuals, scale_indices, strict=True)
+    def whiten_by_trial(self, residuals, courses):
+        pairs = zip(residuals, courses, strict=True)
         return [rows / (1.0 + index) for rows, index in pairs]
 
 
 @pytest.mark.parametrize("size", [0.2, 3.0, 20.0])
-def test_a_fit_maximises_the_likelihood_of_exponents_and_scales(size):
-    """No other scales and exponents are likelier by more than 0.01."""
+def test_a_fit_maximises_the_likelihood_of_exponents_and_courses(size):
+    """No other courses and exponents are likelier by more than 0.01."""
     data = ScaledData()
     data.offsets = [size * offset for offset in data.offsets]
     hypothesis = hypothesis_of(UNIT)
     hypothesis.model = SimpleNamespace(parameters=hypothesis.parameters)
 
     def negative_log_likelihood(chi):
-        by_scale = data.log_likelihood_by_scale(data.residuals(None, chi[None]))
+        by_scale = data.log_likelihood_by_course(data.residuals(None, chi[None]))
         prior = 0.5 * 12.0 * np.sum((chi[[0, 2]] - 0.5) ** 2)
         return prior - by_scale[:, 0].max(axis=1).sum()
 
@@ -169,7 +169,7 @@ def test_a_fit_maximises_the_likelihood_of_exponents_and_scales(size):
         for start in np.random.default_rng(2).uniform(size=(8, 3))
     )
     starts = np.random.default_rng(1).uniform(size=(3, 3))
-    first = np.array([SCALES - 1, 0])
+    first = np.array([COURSES - 1, 0])
     chi, width = laplace.best_exponents(data, hypothesis, starts, first, 1e-6)
     assert negative_log_likelihood(chi) == pytest.approx(lowest, abs=0.01)
     assert ((width >= 1e-6) & (width <= 1e-3)).all()
@@ -312,8 +312,8 @@ def test_a_trial_that_diverged_in_part_counts_as_diverged():
     rows = np.array([[1.0, 2.0], [3.0, DIVERGED_RESIDUAL]])
     asked = []
 
-    def whiten(residuals, scale_indices):
-        asked.append(list(scale_indices))
+    def whiten(residuals, courses):
+        asked.append(list(courses))
         return [residual / 10 for residual in residuals]
 
     data = SimpleNamespace(

@@ -18,11 +18,8 @@ from stringcast.stages.inference.basis import (
     tensor_products,
     time_splines,
 )
-from stringcast.stages.inference.discrepancy import (
-    DISCREPANCY_SCALES_M,
-    Discrepancy,
-    NoiseBasis,
-)
+from stringcast.stages.inference.discrepancy import Discrepancy, NoiseBasis
+from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.noise import (
     WHITE_NOISE,
     Noise,
@@ -229,13 +226,13 @@ def test_discrepancies_drawn_at_some_points_are_those_drawn_at_all(trial):
     one = Discrepancy.for_trial(trial, np.ones(FRAMES), no_shapes)
     wave = 30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3
     coefficients = one.coefficients(np.repeat(wave, 2)[None])[0]
-    scale_index = int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1))
+    course = int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1))
     drawn = {}
     for name, chosen in (("all", np.ones(len(trial.s), bool)), ("tip", trial.is_tip)):
         rng = np.random.default_rng(0)
-        drawn[name] = one.sample_posterior(coefficients, scale_index, 50, rng, chosen)
+        drawn[name] = one.sample_posterior(coefficients, course, 50, rng, chosen)
     at_tip = np.repeat(trial.is_tip, 2)
     np.testing.assert_array_equal(drawn["all"][:, at_tip], drawn["tip"])
-    mean = one.posterior_mean(coefficients, scale_index)[at_tip]
+    mean = one.posterior_mean(coefficients, course)[at_tip]
     assert drawn["tip"].mean(axis=0) == pytest.approx(mean, abs=1.0)
     assert np.ptp(drawn["tip"], axis=0).min() > 0

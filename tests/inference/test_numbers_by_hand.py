@@ -10,6 +10,7 @@ from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference import (
     basis,
     discrepancy,
+    discrepancy_grid,
     initial_modes,
     laplace,
     likelihood,
@@ -97,9 +98,9 @@ def test_the_likeliest_discrepancy_follows_smooth_misfit_in_each_trial():
         residuals.append(np.repeat(wave, 2))
     data = TrialData(tuple(trials))
     hypothesis = SimpleNamespace(cause_names=())
-    wide = int(np.searchsorted(discrepancy.DISCREPANCY_SCALES_M, 0.1))
+    wide = int(np.searchsorted(discrepancy_grid.DISCREPANCY_SCALES_M, 0.1))
     fit = SimpleNamespace(
-        hypothesis=hypothesis, residuals=residuals, scale_indices=[wide, wide]
+        hypothesis=hypothesis, residuals=residuals, courses=[wide, wide]
     )
     for mean, residual in zip(
         laplace.mean_discrepancy(data, fit), residuals, strict=True
@@ -109,7 +110,7 @@ def test_the_likeliest_discrepancy_follows_smooth_misfit_in_each_trial():
     assert sizes.shape == (2, laplace.DISCREPANCY_DRAWS)
     expected = data.tip_rms_by_trial(residuals)
     assert sizes.mean(axis=1) == pytest.approx(expected, rel=0.05)
-    fit.scale_indices = [0, wide]
+    fit.courses = [0, wide]
     assert not laplace.mean_discrepancy(data, fit)[0].any()
 
 
@@ -119,8 +120,8 @@ def test_the_volume_is_that_of_a_normal_distribution():
 
 
 def test_scales_of_a_discrepancy_are_half_cauchy():
-    prior = np.exp(discrepancy.log_scale_prior())
-    scales = discrepancy.DISCREPANCY_SCALES_M
+    prior = np.exp(discrepancy_grid.log_scale_prior())
+    scales = discrepancy_grid.DISCREPANCY_SCALES_M
     assert prior.sum() == pytest.approx(1.0)
     assert prior[0] == pytest.approx(2 / np.pi * np.arctan(2.5e-5 / 5e-4))
     edge = np.sqrt(scales[-2] * scales[-1])
@@ -130,15 +131,17 @@ def test_scales_of_a_discrepancy_are_half_cauchy():
     assert prior[2] == pytest.approx(inside)
 
 
-def test_the_scale_is_integrated_out_and_the_most_probable_one_is_chosen():
-    same = np.full((2, len(discrepancy.DISCREPANCY_SCALES_M)), -7.0)
-    assert discrepancy.marginal_log_likelihood(same) == pytest.approx([-7.0, -7.0])
-    likeliest = int(np.argmax(discrepancy.log_scale_prior()))
-    assert list(discrepancy.best_scale_index(same)) == [likeliest, likeliest]
+def test_the_course_is_integrated_out_and_the_most_probable_one_is_chosen():
+    prior = discrepancy_grid.log_course_prior()
+    same = np.full((2, len(prior)), -7.0)
+    marginal = discrepancy_grid.marginal_log_likelihood(same)
+    assert marginal == pytest.approx([-7.0, -7.0])
+    likeliest = int(np.argmax(prior))
+    assert list(discrepancy_grid.most_likely_course(same)) == [likeliest, likeliest]
     same[1, 3] += 20.0
-    assert list(discrepancy.best_scale_index(same)) == [likeliest, 3]
-    assert discrepancy.marginal_log_likelihood(same)[1] == pytest.approx(
-        np.logaddexp(-7.0, 13.0 + discrepancy.log_scale_prior()[3]), abs=1e-3
+    assert list(discrepancy_grid.most_likely_course(same)) == [likeliest, 3]
+    assert discrepancy_grid.marginal_log_likelihood(same)[1] == pytest.approx(
+        np.logaddexp(-7.0, 13.0 + prior[3]), abs=1e-3
     )
 
 

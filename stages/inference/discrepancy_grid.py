@@ -1,0 +1,79 @@
+"""What a discrepancy may be like in a trial: a grid of onsets and scales.
+
+A model may fit a trial until something unknown begins, such as a gust or a touch. So a
+discrepancy has an onset. Before it the discrepancy is a hundredth of what it would
+otherwise be, and the measured points count nearly as if there were none. Its scale s
+[m] is its root mean square at the tip over the trial.
+
+A **course** is an onset and a scale. It is known by its index: all scales of the first
+onset come first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import logsumexp
+
+# Scales s [m], each 1.56 times the last; no string is farther off.
+DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
+MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
+# Shares of the trial's duration after which it may begin, each as likely
+ONSET_SHARES = np.arange(6) / 6
+SHARE_BEFORE_ONSET = 0.01  # of what it would be
+
+
+def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
+    """Compute the relative size of discrepancies of each onset at each frame, (W, F).
+
+    Parameters
+    ----------
+    times : numpy.ndarray, shape (F,)
+        Of the frames [s].
+    growth : numpy.ndarray, shape (F,)
+        Relative size of a discrepancy that is there from the beginning.
+    """
+    onsets = times[0] + ONSET_SHARES * (times[-1] - times[0])
+    has_begun = times >= onsets[:, None]
+    return np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
+
+
+def split_course(course: int) -> tuple[int, float]:
+    """Look up the index of the onset and the scale [m] of a course."""
+    onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
+    return onset, float(DISCREPANCY_SCALES_M[scale_index])
+
+
+def courses_of_scale(scale_m: float) -> np.ndarray:
+    """Find the course of each onset whose scale is nearest above one, (W,)."""
+    first = np.arange(len(ONSET_SHARES)) * len(DISCREPANCY_SCALES_M)
+    return first + int(np.searchsorted(DISCREPANCY_SCALES_M, scale_m))
+
+
+def median_course(courses: np.ndarray) -> int:
+    """Choose the course from the beginning with the median scale of others."""
+    return int(np.median(courses % len(DISCREPANCY_SCALES_M)))
+
+
+def log_scale_prior() -> np.ndarray:
+    """Compute the log prior of the scales, (S,): half-Cauchy between midpoints."""
+    scales = DISCREPANCY_SCALES_M
+    midpoints = np.sqrt(scales[1:-1] * scales[2:])
+    edges = np.concatenate([[0.0, scales[1] / 2], midpoints, [np.inf]])
+    cumulative = 2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M)
+    return np.asarray(np.log(np.diff(cumulative)))
+
+
+def log_course_prior() -> np.ndarray:
+    """Compute the log prior of the courses, (W S,)."""
+    onsets = len(ONSET_SHARES)
+    return np.tile(log_scale_prior() - np.log(onsets), onsets)
+
+
+def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
+    """Integrate the course out of log-likelihoods (..., W S)."""
+    return np.asarray(logsumexp(log_likelihoods + log_course_prior(), axis=-1))
+
+
+def most_likely_course(log_likelihoods: np.ndarray) -> np.ndarray:
+    """Find the index of the most probable course, given log-likelihoods (..., W S)."""
+    return np.asarray(np.argmax(log_likelihoods + log_course_prior(), axis=-1))
