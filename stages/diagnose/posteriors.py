@@ -36,6 +36,10 @@ from stringcast.stages.diagnose.rules import (
 )
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.diagnose.selection_step import SelectionStep, by_evidence
+from stringcast.stages.diagnose.stand_ins import (
+    explained_shares,
+    probability_by_shares,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -45,9 +49,6 @@ log = logging.getLogger(__name__)
 
 BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
 LOGGED_CAUSES = 5  # the most probable of a place
-# Of 43 causes on which trials agreed while misfit remained, 5 were not there: something
-# outside the library does about the same in all trials
-STAND_IN_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,14 @@ class SingleEffectPosterior:
         Of the candidates that were fitted.
     fit_without : Fit
         With nothing in this place.
+    data : TrialData
+        To which they were fitted.
     """
 
     probabilities: Mapping[str, float]
     fits: Mapping[str, Fit]
     fit_without: Fit
+    data: TrialData
 
     @property
     def presence(self) -> float:
@@ -325,7 +329,7 @@ def single_effect_posterior(
     probabilities |= dict.fromkeys(unresolved, 0.0)
     fits |= unresolved
     probabilities |= _shared_probabilities(data, probabilities, fits, unresolved)
-    posterior = SingleEffectPosterior(probabilities, fits, step.parent)
+    posterior = SingleEffectPosterior(probabilities, fits, step.parent, data)
     ranked = []
     for name in posterior.ranked_causes[:LOGGED_CAUSES]:
         ranked.append(f"{name or 'none'} {probabilities[name]:.2f}")
@@ -385,7 +389,8 @@ def limit_by_agreement(
 
     The evidence of a model that lacks something is too sure of itself. Then a cause is
     at most as probable as by the scatter of its estimates between trials (`agreement`).
-    What the trials agree on may still be a stand-in for something outside the library.
+    What the trials agree on may still stand in for something outside the library. How
+    much it explains says how probable that is (`stand_ins`).
 
     Parameters
     ----------
@@ -416,7 +421,10 @@ def limit_by_agreement(
             candidates,
             min_tip_shift_m,
         )
-        limit *= 1 - STAND_IN_SHARE
+        shares = explained_shares(
+            posterior.data, posterior.fit_without, posterior.fits[name], min_tip_shift_m
+        )
+        limit *= probability_by_shares(shares)
         by_cause.append(_limit_presence(posterior, limit, misfit_probability))
     return replace(posteriors, by_cause=tuple(by_cause))
 

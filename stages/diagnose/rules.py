@@ -39,9 +39,9 @@ The **verdict** names the accepted causes only if all of these pass:
                            to better; if misfit remains, their tips are closer
 =========================  =========================================================
 
-If misfit remains, the verdict on the named causes is `partial`. How much they explain
-then says how large they are beside what is missing, and not whether they are there:
-that their effect is the same in all trials does (`trials_agree`).
+If misfit remains, the verdict on the named causes is `partial`. Whether they are there
+is then judged by two things: their effect is the same in all trials (`trials_agree`),
+and they leave little where the model holds (`stand_ins`).
 "Misfit remains" (`misfit_remains`) if the tip of some trial is off by more than
 `tip_tolerance_m` with a probability above one half.
 """

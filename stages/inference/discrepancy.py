@@ -244,8 +244,7 @@ class Discrepancy:
             precision, covariance, log_determinant = self._nuisance_by_scale[onset]
             turned = self._turn(coefficients, onset)
             square = turned**2 @ precision.T  # (C, S)
-            weighted = precision[:, :, None] * nuisance  # (S, 2 M, m)
-            projected = turned @ weighted  # (S, C, m)
+            projected = turned @ (precision[:, :, None] * nuisance)  # (S, C, m)
             explained = np.sum((projected @ covariance) * projected, axis=2)
             by_onset.append(-0.5 * (square - explained.T + log_determinant))
         return np.concatenate(by_onset, axis=1)

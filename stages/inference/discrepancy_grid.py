@@ -22,6 +22,11 @@ ONSET_SHARES = np.arange(6) / 6
 SHARE_BEFORE_ONSET = 0.01  # of what it would be
 
 
+def onset_times(times: np.ndarray) -> np.ndarray:
+    """Place the onsets in a trial with frames at times (F,), (W,) [s]."""
+    return np.asarray(times[0] + ONSET_SHARES * (times[-1] - times[0]))
+
+
 def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
     """Compute the relative size of discrepancies of each onset at each frame, (W, F).
 
@@ -32,8 +37,7 @@ def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
     growth : numpy.ndarray, shape (F,)
         Relative size of a discrepancy that is there from the beginning.
     """
-    onsets = times[0] + ONSET_SHARES * (times[-1] - times[0])
-    has_begun = times >= onsets[:, None]
+    has_begun = times >= onset_times(times)[:, None]
     return np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
 
 

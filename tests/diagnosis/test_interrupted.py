@@ -63,7 +63,7 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
 
     def posterior(step, *given):
         weighed.append(step)
-        return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)
+        return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None, None)
 
     monkeypatch.setattr(verdict, "background_responses", lambda *given: ())
     base_fit = SimpleNamespace(log_evidence=0.0)

@@ -17,6 +17,7 @@ from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.stand_ins import probability_by_shares
 from stringcast.stages.inference.discrepancy_grid import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 
@@ -114,11 +115,16 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
     }
     by_fit = {  # the last accepted cause first
         "one": [
-            SingleEffectPosterior({"x": 1.0}, {}, None),
-            SingleEffectPosterior({"a": 0.02, "b": 0.98}, {"b": fits["two"]}, None),
+            SingleEffectPosterior({"x": 1.0}, {}, None, None),
+            SingleEffectPosterior(
+                {"a": 0.02, "b": 0.98}, {"b": fits["two"]}, None, None
+            ),
         ],
-        "two": [SingleEffectPosterior({"x": 0.2, "": 0.8}, {}, fits["three"]), None],
-        "three": [SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None)],
+        "two": [
+            SingleEffectPosterior({"x": 0.2, "": 0.8}, {}, fits["three"], None),
+            None,
+        ],
+        "three": [SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None, None)],
     }
     settled = swap(monkeypatch, by_fit, fits["one"])
     assert settled.state.fit is fits["three"]
@@ -136,7 +142,9 @@ def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypa
     by_fit = {}
     for name, other in ("ab", "ba"):
         probabilities = {name: 0.02, other: 0.98}
-        posterior = SingleEffectPosterior(probabilities, {other: fits[other]}, None)
+        posterior = SingleEffectPosterior(
+            probabilities, {other: fits[other]}, None, None
+        )
         by_fit[name] = [posterior]
     settled = swap(monkeypatch, by_fit, fits["a"])
     name = settled.state.fit.name
@@ -147,7 +155,7 @@ def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypa
 
 def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch):
     fit = named_fit("one", "a")
-    posterior = SingleEffectPosterior({"a": 0.3, "b": 0.7}, {"b": None}, None)
+    posterior = SingleEffectPosterior({"a": 0.3, "b": 0.7}, {"b": None}, None, None)
     settled = swap(monkeypatch, {"one": [posterior]}, fit)
     assert settled.state.fit is fit
     assert settled.by_cause == (posterior,)
@@ -171,7 +179,9 @@ def test_a_place_is_emptied_only_if_it_is_more_likely_empty_than_not(
         "empty": named_fit("empty"),
     }
     probabilities = {"": none, "b": rival, "a": own}
-    posterior = SingleEffectPosterior(probabilities, {"b": fits["two"]}, fits["empty"])
+    posterior = SingleEffectPosterior(
+        probabilities, {"b": fits["two"]}, fits["empty"], None
+    )
     by_fit = {key: [posterior] for key in fits}
     monkeypatch.setattr(
         posteriors, "with_most_probable_causes", lambda state, by_cause: state
@@ -352,14 +362,19 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
     by_cause = []
     for each in probabilities:
         fits = {name: fit("other", name) for name in each if name}
-        by_cause.append(SingleEffectPosterior(each, fits, fit()))
+        by_cause.append(SingleEffectPosterior(each, fits, fit(), None))
     state = SelectionState(SimpleNamespace(data=None), fit("tilt", "play"))
     likeliest = posteriors.with_most_probable_causes(state, by_cause)
     assert likeliest.fit.hypothesis.causes == causes
 
 
-def limit_place(monkeypatch, probabilities, log_bayes_factor, misfit_probability):
-    """Limit the probabilities of one place, of 50 candidates, to what trials say."""
+def limit_place(
+    monkeypatch, probabilities, log_bayes_factor, misfit_probability, share=1.0
+):
+    """Limit the probabilities of one place, of 50 candidates, to what trials say.
+
+    share: of the misfit, which the cause explains in each trial.
+    """
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
     )
@@ -371,7 +386,10 @@ def limit_place(monkeypatch, probabilities, log_bayes_factor, misfit_probability
         fit=SimpleNamespace(hypothesis=SimpleNamespace(causes=(cause,))),
         left_out_exponents=None,
     )
-    place = SingleEffectPosterior(probabilities, {}, None)
+    monkeypatch.setattr(
+        posteriors, "explained_shares", lambda *given: np.full(2, share)
+    )
+    place = SingleEffectPosterior(probabilities, {"a": None}, None, None)
     given = posteriors.Posteriors(state, None, (place,))
     found = posteriors.limit_by_agreement(given, misfit_probability, 50, 1e-3)
     return found.by_cause[0].probabilities
@@ -382,7 +400,7 @@ def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
 ):
     """The odds are then the trials' Bayes factor times the prior odds of one cause."""
     certain = {"a": 0.9, "b": 0.1, "": 0.0}
-    there = 0.75 * (1 - posteriors.STAND_IN_SHARE)
+    there = 0.75 * probability_by_shares(np.ones(2))
     found = limit_place(monkeypatch, certain, np.log(150), 1.0)
     assert found == pytest.approx({"a": 0.9 * there, "b": 0.1 * there, "": 1 - there})
 
@@ -390,10 +408,11 @@ def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
     assert halfway[""] == pytest.approx((1 - there) / 2)
 
 
-def test_no_cause_is_certain_while_misfit_remains(monkeypatch):
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
+def test_a_cause_is_no_likelier_than_it_does_not_stand_in(monkeypatch, share):
     """Something outside the library may do about the same in all trials."""
-    found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0)
-    assert found["a"] == pytest.approx(1 - posteriors.STAND_IN_SHARE)
+    found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0, share)
+    assert found["a"] == pytest.approx(probability_by_shares(np.array([share])))
 
 
 @pytest.mark.parametrize(("log_bayes_factor", "misfit"), [(-3.0, 0.0), (30.0, 1.0)])
@@ -422,8 +441,8 @@ def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
 
 def test_an_effect_is_included_if_it_is_in_one_place_or_another():
     places = [
-        SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None),
-        SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None),
+        SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None, None),
+        SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None, None),
     ]
     found = posteriors.inclusion_probabilities(places)
     assert found == pytest.approx({"wind": 0.7, "tip_mass": 0.2})
