@@ -1,0 +1,69 @@
+"""Something unknown begins in the middle of trials; before it the model holds."""
+
+import numpy as np
+import pytest
+from conftest import TRUTH, ordinary
+from synthetic_trials import simulate_trial, swing_angles
+
+from stringcast.stages.diagnose.base_model import fit_from_beginnings
+from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.inference.discrepancy_grid import ONSET_SHARES, split_course
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import fit_hypothesis
+from stringcast.stages.inference.prepared_trial import prepare_trial
+
+PLACES = np.array([8, 14, 20])
+SECONDS = 0.6
+ONSET_S = 0.35
+PUSH_M = 0.08  # of the tip to the side, at the end of a trial
+STIFFER = {**TRUTH, "bending_stiffness": 20.0, "linear_drag": 2.0}
+
+
+def push_string(observed, length):
+    """Push the string aside from an onset on, farther and farther."""
+    points = observed.points
+    late_s = np.maximum(points["t"] - ONSET_S, 0.0)
+    push_m = PUSH_M * late_s / (SECONDS - ONSET_S) * points["s"] / length
+    observed.points["x"] = points["x"] + push_m
+
+
+@pytest.fixture(scope="module")
+def fits(arm):
+    """Fit the base model to pushed strings from one that is too stiff.
+
+    Returns the data, that fit, and the fit that sees the beginnings first.
+    """
+    model = with_second_order_mesh(ordinary(arm))
+    rng = np.random.default_rng(0)
+    trials = []
+    for k, angles in enumerate(swing_angles(arm, 3, SECONDS)):
+        observed = simulate_trial(f"t{k}", arm, model, TRUTH, angles, PLACES, rng)
+        push_string(observed, model.string.length)
+        trials.append(prepare_trial(model, observed))
+    hypothesis = Hypothesis(model)
+    start = model.exponents_of_values(STIFFER)
+    data = attach_discrepancy_model(trials, hypothesis, start)
+    no_discrepancy = np.zeros(len(trials), dtype=int)
+    astray = fit_hypothesis(data, hypothesis, start[None], no_discrepancy)
+    return data, astray, fit_from_beginnings(data, astray)
+
+
+def test_fits_to_the_beginnings_find_the_string(fits):
+    """They end where a fit from the true string ends, and others do not."""
+    data, astray, fit = fits
+    truth = fit.hypothesis.model.exponents_of_values(TRUTH)
+    best = fit_hypothesis(data, fit.hypothesis, truth[None], fit.courses)
+    assert fit.log_evidence == pytest.approx(best.log_evidence, abs=1.0)
+    assert astray.log_evidence < best.log_evidence - 50
+    for name in ("bending_stiffness", "grasp_stiffness"):
+        assert fit.values[name] == pytest.approx(TRUTH[name], rel=0.05)
+
+
+def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
+    data, _, fit = fits
+    true_share = ONSET_S / SECONDS
+    for course in fit.courses:
+        onset, scale_m = split_course(course)
+        assert 0 < ONSET_SHARES[onset] <= true_share
+        assert scale_m > 2e-3
