@@ -112,8 +112,8 @@ def fit_clock(
     hypothesis = Hypothesis(likelihood.model)
     data = attach_discrepancy_model(measured, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
-    scales = most_likely_course(data.log_likelihood_by_course(residuals))[:, 0]
-    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], scales))
+    courses = most_likely_course(data.log_likelihood_by_course(residuals))[:, 0]
+    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], courses))
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:

@@ -53,7 +53,7 @@ from stringcast.stages.inference.whitening import LowRankWhitening
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
-MAX_KEPT_TRIALS = 64  # some 4 MB each, in each of two caches
+MAX_KEPT_TRIALS = 64  # some 4 and 9 MB each, in two caches
 
 
 @dataclass(frozen=True)
