@@ -11,6 +11,7 @@ from stringcast.stages.diagnose import document, summary
 from stringcast.stages.diagnose.document import verdict_sentence
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
+from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.model.library import effects_by_name
 
 
@@ -39,30 +40,35 @@ def test_an_amplitude_at_an_end_of_its_range_is_no_finding(name, chi, is_inside)
 
 
 PLACE = "most of it in trial b (100 %), largest at 0.20 s, 0.30 m along the string."
+LATE = 3 * len(DISCREPANCY_SCALES_M)  # a course that begins in the middle
 
 
 @pytest.mark.parametrize(
-    ("budget_m", "kind", "sentence"),
+    ("budget_m", "kind", "course", "sentence"),
     [
         (
             (0.0, 0.0, 0.03),
             "unknown",
+            0,
             f"A misfit of 14.1 mm is left at the tip; {PLACE}",
         ),
         (
             (0.02, 0.0, 0.03),
             "partial",
+            0,
             f"14.1 of 14.1 mm remain unexplained at the tip; {PLACE}",
         ),
         (
             (0.013, 0.01, 0.03),
             "partial",
-            f"13.0 of 14.1 mm remain unexplained at the tip; {PLACE}",
+            LATE,
+            "13.0 of 14.1 mm remain unexplained at the tip; "
+            + PLACE.replace("largest", "from 0.15 s on, largest"),
         ),
     ],
 )
 def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
-    monkeypatch, budget_m, kind, sentence
+    monkeypatch, budget_m, kind, course, sentence
 ):
     """The budget's share may be 0 where numerical error could explain the misfit."""
     trials = []
@@ -87,7 +93,7 @@ def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
     )
     found = document.unexplained_document(
         data,
-        None,
+        SimpleNamespace(courses=[course, course]),
         judgement,
         SimpleNamespace(unexplained_m=budget_m),
         SimpleNamespace(tip_tolerance_m=1e-3),
