@@ -40,7 +40,8 @@ def explained_shares(
     without, fit : Fit
         Without the cause and with it.
     min_tip_shift_m : float
-        Trials in which it moves the tip by less do not count [m].
+        Trials in which it moves the tip by less do not count [m], nor do those in which
+        nothing is left without it.
 
     Returns
     -------
@@ -56,10 +57,13 @@ def explained_shares(
         has_begun = trial.point_times >= onset_times(trial.times)[onset]
         while_model_holds = trial.is_tip & ~has_begun
         for frames in (while_model_holds, trial.is_tip):
-            if _tip_rms(trial, moved[k], frames) >= min_tip_shift_m:
+            if _tip_rms(trial, moved[k], frames) < min_tip_shift_m:
+                continue
+            misfit = _tip_rms(trial, before[k], frames)
+            if misfit > 0:
                 left = _tip_rms(trial, after[k], frames)
-                shares.append(1 - (left / _tip_rms(trial, before[k], frames)) ** 2)
-                break
+                shares.append(1 - (left / misfit) ** 2)
+            break
     return np.array(shares)
 
 

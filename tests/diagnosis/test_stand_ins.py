@@ -82,6 +82,21 @@ def displaced(early, late):
     return np.stack([x, np.zeros_like(x)], axis=1).ravel()
 
 
+def find_shares(monkeypatch, cause, misfit, left, course):
+    """Find shares where a cause moves the tip by so much, early and late.
+
+    misfit, left: what is off without the cause and with it.
+    """
+    data = SimpleNamespace(trials=[Trial()])
+    without = SimpleNamespace(residuals=[displaced(*cause)])
+    fit = SimpleNamespace(residuals=[displaced(0, 0)], courses=[course])
+    discrepancies = {id(without): displaced(*misfit), id(fit): displaced(*left)}
+    monkeypatch.setattr(
+        stand_ins, "mean_discrepancy", lambda data, fit: [discrepancies[id(fit)]]
+    )
+    return explained_shares(data, without, fit, 1e-3)
+
+
 @pytest.mark.parametrize(
     ("cause", "left", "course", "expected"),
     [
@@ -95,13 +110,11 @@ def test_shares_are_counted_where_the_model_holds(
     monkeypatch, cause, left, course, expected
 ):
     """A cause moves the tip by 4 mm before the middle, and by 40 mm after it."""
-    trial = Trial()
-    data = SimpleNamespace(trials=[trial])
-    without = SimpleNamespace(residuals=[displaced(*cause)])
-    fit = SimpleNamespace(residuals=[displaced(0, 0)], courses=[course])
-    lacks = {id(without): displaced(*cause), id(fit): displaced(*left)}
-    monkeypatch.setattr(
-        stand_ins, "mean_discrepancy", lambda data, fit: [lacks[id(fit)]]
-    )
-    found = explained_shares(data, without, fit, 1e-3)
+    found = find_shares(monkeypatch, cause, cause, left, course)
     assert found == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_trial_without_misfit_does_not_show_what_a_cause_explains(monkeypatch):
+    """Another initial state makes up for the cause, which moves the tip by 40 mm."""
+    found = find_shares(monkeypatch, (4, 40), (0, 0), (0, 0), 0)
+    assert not found.size
