@@ -79,5 +79,10 @@ def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
 
 
 def most_likely_course(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the index of the most probable course, given log-likelihoods (..., W S)."""
-    return np.asarray(np.argmax(log_likelihoods + log_course_prior(), axis=-1))
+    """Find the index of the most probable course, given log-likelihoods (..., W S).
+
+    Without a discrepancy all onsets are the same, and the first one is chosen.
+    """
+    courses = np.argmax(log_likelihoods + log_course_prior(), axis=-1)
+    has_discrepancy = courses % len(DISCREPANCY_SCALES_M) > 0
+    return np.where(has_discrepancy, courses, 0)

@@ -145,6 +145,15 @@ def test_the_course_is_integrated_out_and_the_most_probable_one_is_chosen():
     )
 
 
+def test_without_a_discrepancy_the_first_onset_is_chosen():
+    """Rounding makes one of the others likelier, and none of them begins."""
+    onsets = len(discrepancy_grid.ONSET_SHARES)
+    by_course = np.full((onsets, len(discrepancy_grid.log_course_prior())), -50.0)
+    no_discrepancy = by_course.reshape(onsets, onsets, -1)[:, :, 0]
+    no_discrepancy[:] = 1e-12 * np.eye(onsets)
+    assert not discrepancy_grid.most_likely_course(by_course).any()
+
+
 @pytest.mark.parametrize(
     ("blocks", "quantile"), [(1, 12.7062), (2, 12.7062), (5, 2.7764)]
 )
