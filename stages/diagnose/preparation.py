@@ -186,11 +186,16 @@ def fit_base_model_to_resolved_trials(
 
 
 def refine_base_model(prepared: PreparedData) -> PreparedData:
-    """Correct the data at the base model until its evidence gains no more."""
+    """Correct the data at the base model until its evidence gains no more.
+
+    A fit to the beginnings of trials replaces it if that has more evidence, also with
+    the numerical error of where it ends.
+    """
     refined = refine_to_convergence(prepared, prepared.base_fit)
     restarted = fit_from_beginnings(refined.prepared.data, refined.fit)
     if restarted.log_evidence > refined.fit.log_evidence + STRONG_LOG_EVIDENCE:
-        refined = refine_to_convergence(refined.prepared, restarted)
+        elsewhere = refine_to_convergence(refined.prepared, restarted)
+        refined = max(refined, elsewhere, key=lambda each: each.fit.log_evidence)
     return replace(refined.prepared, base_fit=refined.fit)
 
 

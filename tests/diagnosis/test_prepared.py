@@ -30,7 +30,7 @@ from stringcast.stages.diagnose.noise import (
     _remove_trial_outliers,
     reestimate_noise,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
@@ -223,6 +223,28 @@ def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
     assert asked == fitted
     assert after.chaotic_trials == chaotic
     assert len(after.base_fit.residuals) == len(after.trials) == 4 - len(chaotic)
+
+
+@pytest.mark.parametrize(
+    ("restarted", "elsewhere", "kept"), [(20, 18, 18), (20, -3, 0), (2, 18, 0)]
+)
+def test_a_fit_to_the_beginnings_is_kept_if_it_has_more_evidence_in_the_end(
+    prepared, monkeypatch, restarted, elsewhere, kept
+):
+    """It may have gained by the numerical error of where the other fit ended."""
+    base = replace(prepared.base_fit, log_evidence=0.0)
+    before = replace(prepared, base_fit=base)
+    refined = {0.0: 0.0, float(restarted): float(elsewhere)}
+
+    def refine(given, fit):
+        return RefinedFit(given, replace(fit, log_evidence=refined[fit.log_evidence]))
+
+    def fit_beginnings(data, fit):
+        return replace(fit, log_evidence=float(restarted))
+
+    monkeypatch.setattr(preparation, "refine_to_convergence", refine)
+    monkeypatch.setattr(preparation, "fit_from_beginnings", fit_beginnings)
+    assert preparation.refine_base_model(before).base_fit.log_evidence == kept
 
 
 def test_a_base_model_is_searched_in_eight_trials_at_most(trials, model):
