@@ -27,7 +27,10 @@ def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
         places |= {*trial.points["s"].round(4)}
     if not 2 <= len(places) <= MAX_PLACES:
         return  # more are a line, measured in the picture
-    resting = find_resting_points(measurements_of(dataset))
+    measured = measurements_of(dataset)
+    if not {round(s, 4) for s in measured.stated_arc_lengths} <= places:
+        return  # other places in every frame, between which points are interpolated
+    resting = find_resting_points(measured)
     if resting is None or len(resting.hands) < MIN_TRIALS:
         return
     stated = [float(name) for name in resting.names]

@@ -63,3 +63,19 @@ def test_a_whole_line_is_no_mark(tmp_path):
     dirty = Dirty()
     dirty.points["s"] *= 1 + 0.1 * np.sin(9 * dirty.points["s"])
     assert not mark_findings(dirty, tmp_path)
+
+
+def test_marks_that_are_seen_by_turns_are_no_places_of_rest(tmp_path):
+    """Of six marks of a string of 1 m two are seen in each frame.
+
+    Places between them are followed, which have numbers and not arc lengths for names.
+    """
+    dirty = Dirty().with_poses()
+    longer = 1.0 / float(dirty.points["s"].max())
+    dirty.points[["s", "x", "y"]] *= longer
+    dirty.grasp[["x", "y"]] *= longer
+    dirty.about["string"]["length"] *= longer
+    marks = np.sort(dirty.points["s"].unique())[1:]
+    frames = dirty.points[dirty.points["s"].isin(marks)].groupby(["trial", "t"])
+    dirty.points = frames.sample(2, random_state=0).reset_index(drop=True)
+    assert not mark_findings(dirty, tmp_path)
