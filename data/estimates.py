@@ -51,8 +51,10 @@ MISFIT = Table(
     t [s]: time of the frame; 0 is the start of the movement
     x [m]: measured less simulated position of the measured point nearest the tip
     y [m]: measured less simulated position of the measured point nearest the tip
-    mesh_x [m]: error of the mesh, which the estimate does not count
-    mesh_y [m]: error of the mesh, which the estimate does not count
+    mesh_x [m]: simulated position less that on a far finer mesh, where the parameters
+        do not make up for it; else 0
+    mesh_y [m]: simulated position less that on a far finer mesh, where the parameters
+        do not make up for it; else 0
     hand_x [m]: position of the hand
     hand_y [m]: position of the hand
     """),

@@ -134,8 +134,9 @@ def build_estimate(
     draws
         Exponents that the trials leave possible, (K, P).
     mesh_errors
-        Error of the mesh that was subtracted from the measured points of each target,
-        (N, 2) [m]; None if the parameters are those of the string on its mesh.
+        Points on the mesh less those on a far finer one, which were added to the
+        measured points of each target, (N, 2) [m]; None if the parameters are those of
+        the string on its mesh.
     """
     if mesh_errors is None:
         mesh_errors = [np.zeros_like(target.trial.points) for target in targets]
@@ -208,7 +209,7 @@ def _compare_with_trials(
 ) -> _Comparison:
     """Simulate the values before and after, (2, P), in each trial, and compare.
 
-    last_mesh_error: that was subtracted from the points of the last trial, (N, 2) [m].
+    last_mesh_error: that was added to the points of the last trial, (N, 2) [m].
     """
     frames = []
     squares = []
@@ -232,7 +233,7 @@ def tabulate_misfit(
 ) -> pd.DataFrame:
     """Tabulate how far simulated points (N, 2) [m] leave the tip off in a trial.
 
-    mesh_error: that was subtracted from the points of the trial, (N, 2) [m].
+    mesh_error: that was added to the points of the trial, (N, 2) [m].
     """
     misfit = trial.points - mesh_error - simulated  # (N, 2)
     # the point nearest the tip in each frame

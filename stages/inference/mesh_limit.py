@@ -43,8 +43,8 @@ def refine_at_mesh_limit(
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
 
-    The solution stays as it is if all corrections leave more: where a string whips no
-    mesh shows what it does, and data of a chain of mass points are those of its mesh.
+    The solution stays as it is if the corrected one leaves more. Where a string whips,
+    no mesh shows what it does. Data of a chain of mass points are those of its mesh.
 
     Returns the likelihood of the corrected points and the exponents there.
     """

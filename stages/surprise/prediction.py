@@ -21,9 +21,9 @@ from stringcast.stages.inference.mesh import refine_mesh
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.engine.accuracy import richardson_limit
 
-# Of the tip, one sigma of a coordinate: errors of a mesh that last are taken for
-# parameters, which then err by more than their draws. Measured: see
-# stages/explain/README.md
+# Of the tip, one sigma of a coordinate: errors that last, of films and of strings that
+# the mesh does not resolve, are taken for parameters, which then err by more than their
+# draws. Measured: see stages/explain/README.md
 SLOW_ERROR_M = 1e-3
 
 
