@@ -28,10 +28,7 @@ from stringcast.stages.align.fit import (
     fit_alignment,
 )
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import (
-    Progress,
-    choose_evenly,
-)
+from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.extract.segment import uncovered_brightness
 from stringcast.stages.extract.stabilise import MAX_SAMPLES
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion

@@ -11,10 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from stringcast.stages.check.measured import CheckedTrial, drop_spikes
-from stringcast.stages.common import (
-    GRAVITY_M_S2,
-    NORMAL_95,
-)
+from stringcast.stages.common import GRAVITY_M_S2, NORMAL_95
 from stringcast.stages.model.polyline import turn_left
 
 # a parabola is fitted over so long: a fast tip turns little in it

@@ -16,11 +16,7 @@ from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE, Criteria
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import courses_of_scale
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import (
-    Fit,
-    fit_hypothesis,
-    log_likelihoods,
-)
+from stringcast.stages.inference.laplace import Fit, fit_hypothesis, log_likelihoods
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
@@ -31,9 +27,7 @@ from stringcast.stages.inference.search import (
 )
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.parameter import (
-    Parameter,
-)
+from stringcast.stages.model.parameter import Parameter
 
 log = logging.getLogger(__name__)
 

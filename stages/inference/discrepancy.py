@@ -241,7 +241,7 @@ class Discrepancy:
         """
         by_onset = []
         for onset, nuisance in enumerate(self._turned_nuisance):
-            precision, covariance, log_determinant = self._nuisance_by_scale[onset]
+            precision, covariance, log_determinant = self._nuisance_by_onset[onset]
             turned = self._turn(coefficients, onset)
             square = turned**2 @ precision.T  # (C, S)
             projected = turned @ (precision[:, :, None] * nuisance)  # (S, C, m)
@@ -291,7 +291,7 @@ class Discrepancy:
 
     def _nuisance_amplitudes(self, coefficients: np.ndarray, course: int) -> np.ndarray:
         onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
-        precision, covariance, _ = self._nuisance_by_scale[onset]
+        precision, covariance, _ = self._nuisance_by_onset[onset]
         turned = self._turn(coefficients[None], onset)[0]
         projected = (precision[scale_index] * turned) @ self._turned_nuisance[onset]
         return np.asarray(covariance[scale_index] @ projected)
@@ -323,11 +323,11 @@ class Discrepancy:
         return {}
 
     @cached_property
-    def _nuisance_by_scale(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """What the nuisance does for each onset at each scale.
+    def _nuisance_by_onset(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Terms of the likelihood with the nuisance, for each onset.
 
-        D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the nuisance's
-        amplitudes given the data, and ln |V| (S,).
+        At each scale: D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the
+        nuisance's amplitudes given the data, and ln |V| (S,).
         """
         by_onset = []
         for variance_per_m2, nuisance in zip(

@@ -67,7 +67,7 @@ class Fit:
     width
         Of chi, over which these were differenced, (P,).
     courses
-        The most probable course of each trial's discrepancy, (K,).
+        The most probable course of each trial's discrepancy (`discrepancy_grid`), (K,).
     log_likelihood_by_trial
         Log-likelihood of each trial, whatever that course, (K,).
     log_evidence

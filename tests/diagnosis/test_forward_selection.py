@@ -95,13 +95,13 @@ def test_likelihood_of_coefficients_is_that_of_a_dense_covariance(
     mapping = discrepancy.coefficients(np.eye(len(covariances[0])))
     residual = np.random.default_rng(1).standard_normal((2, len(mapping)))
     coefficients = discrepancy.coefficients(residual)
-    by_scale = discrepancy.log_likelihood_by_course(coefficients)
+    by_course = discrepancy.log_likelihood_by_course(coefficients)
     for number in (0, 6, 12):
         dense = mapping.T @ covariances[number] @ mapping
         normal = multivariate_normal(np.zeros(len(dense)), dense)
         constant = len(dense) / 2 * np.log(2 * np.pi)
         expected = normal.logpdf(residual @ mapping) + constant
-        assert by_scale[:, number] == pytest.approx(expected, rel=1e-6)
+        assert by_course[:, number] == pytest.approx(expected, rel=1e-6)
 
 
 def test_whitened_coefficients_are_white(discrepancy, covariances):

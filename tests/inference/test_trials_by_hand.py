@@ -388,13 +388,13 @@ def test_trials_have_their_own_likelihood_and_nuisance():
     found = data.log_likelihood_by_course(residuals)
     assert found.shape == (2, 3, len(log_course_prior()))
     single = [rows[0] for rows in residuals]
-    scales = np.array([4, 9])
-    rest = data.without_nuisance(single, scales)
+    courses = np.array([4, 9])
+    rest = data.without_nuisance(single, courses)
     for k, trial in enumerate(trials):
         coefficients = trial.discrepancy.coefficients(residuals[k])
         expected = trial.discrepancy.log_likelihood_by_course(coefficients)
         assert found[k] == pytest.approx(expected)
-        explained = trial.discrepancy.nuisance_mean(coefficients[0], scales[k])
+        explained = trial.discrepancy.nuisance_mean(coefficients[0], courses[k])
         assert rest[k] == pytest.approx(single[k] - explained)
 
 
