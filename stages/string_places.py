@@ -84,13 +84,15 @@ def points_at_arc_lengths(
     (F, M, 2) array
         Positions in each frame [m]; NaN beyond its outermost points.
     """
-    result = np.full((int(frame.max()) + 1, len(places), 2), np.nan)
-    for number, line in enumerate(result):
-        is_here = frame == number
+    order = np.argsort(frame, kind="stable")
+    ends = np.cumsum(np.bincount(frame))[:-1]
+    points_by_frame = np.split(order, ends)
+    result = np.full((len(points_by_frame), len(places), 2), np.nan)
+    for line, in_frame in zip(result, points_by_frame, strict=True):
         for axis in range(2):
-            coordinate = points[is_here, axis]
+            coordinate = points[in_frame, axis]
             line[:, axis] = np.interp(
-                places, s[is_here], coordinate, left=np.nan, right=np.nan
+                places, s[in_frame], coordinate, left=np.nan, right=np.nan
             )
     return result
 
