@@ -92,7 +92,7 @@ class NoiseBasis:
         place = place_functions(trial.s, trial.model.string.length)
         splines = tensor_products(time[trial.frame], place)
         roots = gram_roots(place, trial.frame, len(trial.times))
-        values, vectors = eigh(trial.noise.covariance(time, roots))
+        values, vectors = eigh(trial.noise.covariance(time, roots), driver="evd")
         kept = values > RANK_TOLERANCE * values[-1]
         vectors = vectors[:, kept]
         whiten = (vectors / np.sqrt(values[kept])).T
@@ -176,7 +176,7 @@ class Discrepancy:
         rotations = []
         for size in sizes_by_onset(trial.times, growth):
             smooth_root = basis.whiten @ (basis.splines.T @ _kernel_root(trial, size))
-            variance, rotation = eigh(smooth_root @ smooth_root.T)
+            variance, rotation = eigh(smooth_root @ smooth_root.T, driver="evd")
             variances.append(np.maximum(variance, 0.0))
             rotations.append(rotation)
         return cls(
