@@ -53,7 +53,7 @@ from stringcast.stages.inference.whitening import LowRankWhitening
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
 # of all numbers: fewer beyond what splines reach do not give the noise
 MIN_FREE_SHARE = 0.2
-MAX_KEPT_TRIALS = 64  # some 4 and 9 MB each, in two caches
+MAX_KEPT_TRIALS = 64  # some 3 and 8 MB each, in two caches
 
 
 @dataclass(frozen=True)
@@ -69,16 +69,13 @@ class NoiseBasis:
     whiten
         From sums over points of residuals over sigma times splines to coefficients, (M,
         B).
-    vectors
-        Directions of splines that the points determine, (B, M).
-    gram
-        Coefficients of these directions themselves, (M, M).
+    to_splines
+        From coefficients back to splines, (B, M).
     """
 
     splines: csr_array
     whiten: np.ndarray
-    vectors: np.ndarray
-    gram: np.ndarray
+    to_splines: np.ndarray
 
     @classmethod
     def for_trial(cls, trial: MeasuredTrial) -> NoiseBasis:
@@ -96,8 +93,10 @@ class NoiseBasis:
         kept = values > RANK_TOLERANCE * values[-1]
         vectors = vectors[:, kept]
         whiten = (vectors / np.sqrt(values[kept])).T
+        # Coefficients of the directions that the points determine
         gram = whiten @ (splines.T @ splines).toarray() @ vectors
-        return cls(splines, whiten, vectors, gram)
+        to_splines = np.linalg.solve(gram.T, vectors.T).T
+        return cls(splines, whiten, to_splines)
 
 
 def _basis_parts(trial: MeasuredTrial) -> list[np.ndarray]:
@@ -130,6 +129,8 @@ class Discrepancy:
         Of coefficients for each onset, (W, M, M).
     variance
         Of turned coefficients of a discrepancy of s = 1 m, (W, M).
+    precision
+        D^-1, of turned coefficients without nuisance at each scale, (W, S, 2 M).
     nuisance_coefficients
         U in coefficients, (2 M, m).
     nuisance_shapes
@@ -141,6 +142,7 @@ class Discrepancy:
     to_splines: np.ndarray
     rotation: np.ndarray
     variance: np.ndarray
+    precision: np.ndarray
     nuisance_coefficients: np.ndarray
     nuisance_shapes: np.ndarray
     scale: ClassVar[float] = 1.0  # of noise, in the points' own sigma
@@ -179,12 +181,15 @@ class Discrepancy:
             variance, rotation = eigh(smooth_root @ smooth_root.T, driver="evd")
             variances.append(np.maximum(variance, 0.0))
             rotations.append(rotation)
+        variance = np.stack(variances)
+        by_scale = DISCREPANCY_SCALES_M[:, None] ** 2 * variance[:, None]  # (W, S, M)
         return cls(
             basis.splines,
             to_coefficients=basis.whiten,
-            to_splines=np.linalg.solve(basis.gram.T, basis.vectors.T).T,
+            to_splines=basis.to_splines,
             rotation=np.stack(rotations),
-            variance=np.stack(variances),
+            variance=variance,
+            precision=np.tile(1.0 / (1.0 + by_scale), 2),
             nuisance_coefficients=np.zeros((2 * len(basis.whiten), 0)),
             nuisance_shapes=np.zeros((2 * len(trial.s), 0)),
         )
@@ -241,7 +246,8 @@ class Discrepancy:
         """
         by_onset = []
         for onset, nuisance in enumerate(self._turned_nuisance):
-            precision, covariance, log_determinant = self._nuisance_by_onset[onset]
+            precision = self.precision[onset]
+            covariance, log_determinant = self._nuisance_by_onset[onset]
             turned = self._turn(coefficients, onset)
             square = turned**2 @ precision.T  # (C, S)
             projected = turned @ (precision[:, :, None] * nuisance)  # (S, C, m)
@@ -291,9 +297,10 @@ class Discrepancy:
 
     def _nuisance_amplitudes(self, coefficients: np.ndarray, course: int) -> np.ndarray:
         onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
-        precision, covariance, _ = self._nuisance_by_onset[onset]
+        covariance, _ = self._nuisance_by_onset[onset]
         turned = self._turn(coefficients[None], onset)[0]
-        projected = (precision[scale_index] * turned) @ self._turned_nuisance[onset]
+        weighted = self.precision[onset, scale_index] * turned
+        projected = weighted @ self._turned_nuisance[onset]
         return np.asarray(covariance[scale_index] @ projected)
 
     def _turn(self, coefficients: np.ndarray, onset: int) -> np.ndarray:
@@ -323,25 +330,21 @@ class Discrepancy:
         return {}
 
     @cached_property
-    def _nuisance_by_onset(self) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _nuisance_by_onset(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Terms of the likelihood with the nuisance, for each onset.
 
-        At each scale: D^-1 (S, 2 M), the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the
-        nuisance's amplitudes given the data, and ln |V| (S,).
+        At each scale: the covariance (1 + U' D^-1 U)^-1 (S, m, m) of the nuisance's
+        amplitudes given the data, and ln |V| (S,).
         """
         by_onset = []
-        for variance_per_m2, nuisance in zip(
-            self.variance, self._turned_nuisance, strict=True
+        for precision, nuisance in zip(
+            self.precision, self._turned_nuisance, strict=True
         ):
-            per_axis = np.outer(DISCREPANCY_SCALES_M**2, variance_per_m2)
-            variance = np.tile(per_axis, 2)
-            precision = 1.0 / (1.0 + variance)
             information = (nuisance.T * precision[:, None]) @ nuisance
             information += np.eye(nuisance.shape[1])
-            log_determinant = np.log1p(variance).sum(axis=1)
+            log_determinant = -np.log(precision).sum(axis=1)
             log_determinant += np.linalg.slogdet(information)[1]
-            covariance = np.linalg.inv(information)
-            by_onset.append((precision, covariance, log_determinant))
+            by_onset.append((np.linalg.inv(information), log_determinant))
         return by_onset
 
 
