@@ -103,8 +103,11 @@ def mesh_fraction(
 ) -> float:
     """Compare the error of the mesh with what an estimate leaves beyond noise.
 
-    Returns the ratio of mean squares; NaN where the finer string diverges.
+    Returns the ratio of mean squares; NaN where the finer string diverges, and 0 if the
+    estimate has subtracted the error.
     """
+    if estimate.mesh_error_m > 0:
+        return 0.0
     misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
     error = discretisation_error(likelihood, chi)
     return error**2 / max(misfit, float(np.finfo(float).tiny))

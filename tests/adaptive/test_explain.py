@@ -16,6 +16,7 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
+from stringcast.stages.explain import noise_ratios
 from stringcast.stages.explain.cause_search import Budget, CauseSearch
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
 from stringcast.stages.explain.decision import decide, posterior_probabilities
@@ -491,7 +492,10 @@ def true_estimate(model):
         value = np.asarray(true.get(parameter.name, parameter.start))
         rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
     fit = pd.DataFrame([{"rms_after": 0.002}])
-    return SimpleNamespace(parameters=pd.DataFrame(rows), values=dict, fit=fit)
+    parameters = pd.DataFrame(rows)
+    return SimpleNamespace(
+        parameters=parameters, values=dict, fit=fit, mesh_error_m=0.0
+    )
 
 
 def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
@@ -657,3 +661,16 @@ def test_a_miss_is_corrected_without_its_cause(where, hidden):
     )
     assert not casts[0].has_hit
     assert casts[1].has_hit
+
+
+@pytest.mark.parametrize(("subtracted_m", "expected"), [(0.0, 0.25), (1e-3, 0.0)])
+def test_the_error_of_the_mesh_is_left_only_where_it_was_not_subtracted(
+    monkeypatch, subtracted_m, expected
+):
+    """A mesh that errs by 2 mm leaves a quarter of the 4 mm beyond noise."""
+    monkeypatch.setattr(noise_ratios, "discretisation_error", lambda *given: 2e-3)
+    monkeypatch.setattr(noise_ratios, "rms_m", lambda estimate: 5e-3)
+    monkeypatch.setattr(noise_ratios, "noise_m", lambda observations: 3e-3)
+    estimate = SimpleNamespace(mesh_error_m=subtracted_m)
+    found = noise_ratios.mesh_fraction(None, None, estimate, ())
+    assert found == pytest.approx(expected)
