@@ -252,7 +252,10 @@ def _compare_alternatives(
     reordered = others.with_cause(cause)
     chi = reordered.exponents_from(state.fit.exponents)
     contested = evaluate_fit(data, reordered, chi)
-    parent = refit(data, state.fit, others)
+    # Parameters that made up for the cause may lead to a poor minimum without it
+    starts = (state.fit, state.prepared.base_fit)
+    parents = [refit(data, start, others) for start in starts]
+    parent = max(parents, key=lambda fit: fit.log_evidence)
     return compare_candidates(
         state.prepared,
         parent,

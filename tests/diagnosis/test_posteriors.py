@@ -479,11 +479,39 @@ def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
     state = SimpleNamespace(
         steps=(first, last),
         fit=SimpleNamespace(hypothesis=hypothesis, exponents={}),
-        prepared=SimpleNamespace(data=None),
+        prepared=SimpleNamespace(data=None, base_fit=None),
     )
+    fitted = SimpleNamespace(log_evidence=0.0)
     for name in ("evaluate_fit", "refit"):
-        monkeypatch.setattr(posteriors, name, lambda *given: None)
+        monkeypatch.setattr(posteriors, name, lambda *given: fitted)
     monkeypatch.setattr(posteriors, "in_different_places", lambda fits: fits[:places])
     monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
     found = posteriors._compare_alternatives(state, cause, (), None, 0)
     assert found is (last if is_known else "compared")
+
+
+@pytest.mark.parametrize("better", ["with the cause", "base"])
+def test_a_fit_without_a_cause_is_the_better_of_two(better, monkeypatch):
+    """Parameters that made up for the cause may lead to a poor minimum without it."""
+    others = SimpleNamespace(
+        with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
+    )
+    hypothesis = SimpleNamespace(causes=("a", "b"), without_cause=lambda cause: others)
+    starts = {}
+    for name in ("with the cause", "base"):
+        starts[name] = SimpleNamespace(name=name, hypothesis=hypothesis, exponents={})
+    state = SimpleNamespace(
+        fit=starts["with the cause"],
+        prepared=SimpleNamespace(data=None, base_fit=starts["base"]),
+    )
+
+    def refit(data, fit, hypothesis):
+        return SimpleNamespace(name=fit.name, log_evidence=float(fit.name == better))
+
+    def compare(prepared, parent, *given):
+        return parent.name
+
+    monkeypatch.setattr(posteriors, "evaluate_fit", lambda *given: None)
+    monkeypatch.setattr(posteriors, "refit", refit)
+    monkeypatch.setattr(posteriors, "compare_candidates", compare)
+    assert posteriors._compare_alternatives(state, "a", (), None, 0) == better
