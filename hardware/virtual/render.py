@@ -174,10 +174,10 @@ def strip_coverage(
     ndarray of this shape
         Fractions from 0 to 1.
     """
-    drawn = _drawn_segments(shape, pixels)
+    normal = turn_left(unit_tangents(pixels))
+    drawn = _drawn_segments(shape, pixels, normal)
     if not len(drawn):
         return np.zeros(shape)
-    normal = turn_left(unit_tangents(pixels))
     segment = pixels[drawn + 1] - pixels[drawn]  # (S, 2)
     length = np.linalg.norm(segment, axis=1)
 
@@ -200,15 +200,18 @@ def strip_coverage(
     return np.asarray(np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0))
 
 
-def _drawn_segments(shape: tuple[int, ...], pixels: np.ndarray) -> np.ndarray:
+def _drawn_segments(
+    shape: tuple[int, ...], pixels: np.ndarray, normal: np.ndarray
+) -> np.ndarray:
     """Choose the segments of a line (n, 2) [px] that may be in a picture, by number.
 
-    In diverged simulations others are too long, far away, or no numbers.
+    In diverged simulations others are too long, far away, or no numbers. `normal` holds
+    the line's normals (n, 2).
     """
     reach = sum(shape)
     is_near = (np.abs(pixels) < 2 * reach).all(axis=1)
     is_short = step_lengths(pixels) < reach
-    is_whole = np.isfinite(unit_tangents(pixels)).all(axis=1)
+    is_whole = np.isfinite(normal).all(axis=1)
     is_drawn = is_near & is_whole
     return np.flatnonzero(is_short & is_drawn[:-1] & is_drawn[1:])
 
