@@ -24,6 +24,7 @@ from stringcast.stages.model.parameter import parameter_values
 MIN_SEGMENTS = 10  # segments: with fewer the string's second bend is lost
 # times finer stands for the limit: of second order, 1/16 of the error is left
 REFERENCE_REFINEMENT = 4
+EXTRAPOLATED_MESHES = (1, 2, 4)  # times as many segments
 
 
 def mesh_ladder(likelihood: Likelihood) -> list[Likelihood]:
@@ -148,13 +149,24 @@ def extrapolate_errors(
     """
     errors = []
     uncertainties = []
-    meshes = simulate_on_meshes(model, trials, chi, (1, 2, 4))
-    for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
-        limit = richardson_limit(finer, finest)
-        change = limit - richardson_limit(coarse, finer)
-        errors.append(limit - coarse)
-        uncertainties.append((change / trial.sigma[:, None]).ravel())
+    meshes = simulate_on_meshes(model, trials, chi, EXTRAPOLATED_MESHES)
+    for trial, simulated in zip(trials, meshes, strict=True):
+        error, uncertainty = extrapolate_error(*simulated)
+        errors.append(error)
+        uncertainties.append((uncertainty / trial.sigma[:, None]).ravel())
     return errors, uncertainties
+
+
+def extrapolate_error(
+    coarse: np.ndarray, finer: np.ndarray, finest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Extrapolate the error of the coarsest of EXTRAPOLATED_MESHES [m].
+
+    Returns the limit less what it shows, and by how much two meshes extrapolate
+    otherwise.
+    """
+    limit = richardson_limit(finer, finest)
+    return limit - coarse, limit - richardson_limit(coarse, finer)
 
 
 def residuals_on_meshes(

@@ -17,9 +17,12 @@ from stringcast.stages.generate.curves import curves_from_motion
 from stringcast.stages.generate.hit_probability import tip_errors
 from stringcast.stages.generate.repeated_misfit import find_repeated_misfit
 from stringcast.stages.inference.likelihood import BLOCK_S
-from stringcast.stages.inference.mesh import refine_mesh
+from stringcast.stages.inference.mesh import (
+    EXTRAPOLATED_MESHES,
+    extrapolate_error,
+    refine_mesh,
+)
 from stringcast.stages.inference.prepared_trial import PreparedTrial
-from stringcast.stages.model.engine.accuracy import richardson_limit
 
 # Of the tip, one sigma of a coordinate: errors that last, of films and of strings that
 # the mesh does not resolve, are taken for parameters, which then err by more than their
@@ -114,13 +117,11 @@ def _extrapolate_mesh_error(
     simulation diverges.
     """
     tips = []
-    for factor in (1, 2, 4):
+    for factor in EXTRAPOLATED_MESHES:
         _, refined = refine_mesh(trial.model, [trial], factor)
         tips.append(_simulate_tips(refined[0], values))
-    coarse, finer, finest = tips
-    limit = richardson_limit(finer, finest)
-    uncertainty = limit - richardson_limit(coarse, finer)
-    return np.nan_to_num(coarse - limit), np.nan_to_num(uncertainty)
+    error, uncertainty = extrapolate_error(*tips)
+    return np.nan_to_num(-error), np.nan_to_num(uncertainty)
 
 
 def _simulate_tips(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
