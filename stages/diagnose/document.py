@@ -14,7 +14,7 @@ from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria, misfit_remains
 from stringcast.stages.diagnose.verdict import Judgement
-from stringcast.stages.inference.discrepancy_grid import onset_times, split_course
+from stringcast.stages.inference.discrepancy_grid import onset_time
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
@@ -215,8 +215,8 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     discrepancy = mean_discrepancy(data, fit)[k].reshape(-1, 2)
     misfit_m = np.linalg.norm(discrepancy, axis=1) * trial.sigma
     worst = int(np.argmax(misfit_m))
-    onset, _ = split_course(fit.courses[k])
-    begins = f"from {onset_times(trial.times)[onset]:.2f} s on, " if onset else ""
+    onset_s = onset_time(trial.times, fit.courses[k])
+    begins = f"from {onset_s:.2f} s on, " if onset_s > trial.times[0] else ""
     return (
         f"most of it in trial {trial.name} ({100 * share:.0f} %), {begins}largest at "
         f"{trial.times[trial.frame[worst]]:.2f} s, "

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from stringcast.stages.common import rms
-from stringcast.stages.inference.discrepancy_grid import onset_times, split_course
+from stringcast.stages.inference.discrepancy_grid import onset_time
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData, subtract_by_trial
@@ -53,8 +53,7 @@ def explained_shares(
     moved = subtract_by_trial(without.residuals, fit.residuals)
     shares = []
     for k, trial in enumerate(data.trials):
-        onset, _ = split_course(fit.courses[k])
-        has_begun = trial.point_times >= onset_times(trial.times)[onset]
+        has_begun = trial.point_times >= onset_time(trial.times, fit.courses[k])
         while_model_holds = trial.is_tip & ~has_begun
         for frames in (while_model_holds, trial.is_tip):
             if _tip_rms(trial, moved[k], frames) < min_tip_shift_m:

@@ -21,6 +21,7 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 1
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -176,8 +177,8 @@ class Discrepancy:
         basis = NoiseBasis.for_trial(trial)
         variances = []
         rotations = []
-        for size in sizes_by_onset(trial.times, growth):
-            smooth_root = basis.whiten @ (basis.splines.T @ _kernel_root(trial, size))
+        for root in _kernel_roots(trial, sizes_by_onset(trial.times, growth)):
+            smooth_root = basis.whiten @ (basis.splines.T @ root)
             variance, rotation = eigh(smooth_root @ smooth_root.T, driver="evd")
             variances.append(np.maximum(variance, 0.0))
             rotations.append(rotation)
@@ -296,7 +297,7 @@ class Discrepancy:
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
     def _nuisance_amplitudes(self, coefficients: np.ndarray, course: int) -> np.ndarray:
-        onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
+        onset, scale_index = split_course(course)
         covariance, _ = self._nuisance_by_onset[onset]
         turned = self._turn(coefficients[None], onset)[0]
         weighted = self.precision[onset, scale_index] * turned
@@ -315,7 +316,8 @@ class Discrepancy:
 
     def _variance_of(self, course: int) -> np.ndarray:
         """Look up the variance of turned coefficients in a course, (2 M,)."""
-        onset, scale_m = split_course(course)
+        onset, scale_index = split_course(course)
+        scale_m = DISCREPANCY_SCALES_M[scale_index]
         return np.tile(scale_m**2 * self.variance[onset], 2)
 
     @cached_property
@@ -373,8 +375,11 @@ def remove_smooth_motion(
     return rest, float(mad_sigma(rest) / np.sqrt(free_share))
 
 
-def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:
-    """Compute a root (n, R) of the discrepancy's covariance, of unit rms at the tip."""
+def _kernel_roots(trial: MeasuredTrial, sizes: np.ndarray) -> Iterator[np.ndarray]:
+    """Compute roots (n, R) of the discrepancy's covariance, of unit rms at the tip.
+
+    sizes: relative ones at each frame, (W, F), for each of which there is a root.
+    """
     knots = time_nodes(trial.times, KNOT_SPACING_S)
     correlation_time = max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))
     rate = np.sqrt(3) / correlation_time
@@ -384,9 +389,10 @@ def _kernel_root(trial: MeasuredTrial, growth: np.ndarray) -> np.ndarray:
 
     time = nystrom_root(trial.times, knots, matern)[trial.frame]
     place = place_functions(trial.s, trial.model.string.length)
-    # A trial that cannot be simulated has no growth
-    mean_growth = max(rms(growth), np.finfo(float).tiny)
-    grown = (growth / mean_growth)[trial.frame] / trial.sigma
-    in_time = grown[:, None] * time
-    products = in_time[:, :, None] * place[:, None, :]
-    return np.asarray(products.reshape(len(trial.s), -1))
+    for size in sizes:
+        # A trial that cannot be simulated has no growth
+        mean_size = max(rms(size), np.finfo(float).tiny)
+        at_points = (size / mean_size)[trial.frame] / trial.sigma
+        in_time = at_points[:, None] * time
+        products = in_time[:, :, None] * place[:, None, :]
+        yield np.asarray(products.reshape(len(trial.s), -1))

@@ -41,10 +41,15 @@ def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
     return np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
 
 
-def split_course(course: int) -> tuple[int, float]:
-    """Look up the index of the onset and the scale [m] of a course."""
-    onset, scale_index = divmod(int(course), len(DISCREPANCY_SCALES_M))
-    return onset, float(DISCREPANCY_SCALES_M[scale_index])
+def split_course(course: int) -> tuple[int, int]:
+    """Look up the indices of the onset and of the scale of a course."""
+    return divmod(int(course), len(DISCREPANCY_SCALES_M))
+
+
+def onset_time(times: np.ndarray, course: int) -> float:
+    """Find when a course begins in a trial with frames at times (F,) [s]."""
+    onset, _ = split_course(course)
+    return float(onset_times(times)[onset])
 
 
 def courses_of_scale(scale_m: float) -> np.ndarray:

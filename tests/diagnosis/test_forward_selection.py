@@ -22,7 +22,7 @@ from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.rules import is_supported
 from stringcast.stages.inference.discrepancy import (
     Discrepancy,
-    _kernel_root,
+    _kernel_roots,
     remove_smooth_motion,
 )
 from stringcast.stages.inference.discrepancy_grid import (
@@ -83,7 +83,8 @@ def discrepancy(trial):
 @pytest.fixture
 def covariances(trial, discrepancy):
     """Compute the dense covariance of the residuals at each scale."""
-    root = np.kron(_kernel_root(trial, np.linspace(0.2, 1.0, FRAMES)), np.eye(2))
+    (of_one_axis,) = _kernel_roots(trial, np.linspace(0.2, 1.0, FRAMES)[None])
+    root = np.kron(of_one_axis, np.eye(2))
     nuisance = discrepancy.nuisance_shapes
     known = np.eye(len(root)) + nuisance @ nuisance.T
     return [known + scale_m**2 * root @ root.T for scale_m in DISCREPANCY_SCALES_M]

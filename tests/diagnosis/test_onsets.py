@@ -8,7 +8,11 @@ from synthetic_trials import simulate_trial, swing_angles
 from stringcast.stages.diagnose.base_model import fit_from_beginnings
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.inference.discrepancy_grid import ONSET_SHARES, split_course
+from stringcast.stages.inference.discrepancy_grid import (
+    DISCREPANCY_SCALES_M,
+    ONSET_SHARES,
+    split_course,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -64,6 +68,6 @@ def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
     data, _, fit = fits
     true_share = ONSET_S / SECONDS
     for course in fit.courses:
-        onset, scale_m = split_course(course)
+        onset, scale_index = split_course(course)
         assert 0 < ONSET_SHARES[onset] <= true_share
-        assert scale_m > 2e-3
+        assert DISCREPANCY_SCALES_M[scale_index] > 2e-3

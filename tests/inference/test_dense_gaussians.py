@@ -11,7 +11,7 @@ from stringcast.stages.inference import basis, initial_state, noise
 from stringcast.stages.inference.discrepancy import (
     Discrepancy,
     NoiseBasis,
-    _kernel_root,
+    _kernel_roots,
 )
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
@@ -54,7 +54,7 @@ def errors(film, shapes):
 
 def test_a_discrepancy_covaries_as_its_kernel_says(film):
     growth = np.linspace(0.2, 1.5, FRAMES)
-    root = _kernel_root(film, growth)
+    (root,) = _kernel_roots(film, growth[None])
     t = film.times[film.frame]
     rate = np.sqrt(3) / 0.08
     gap_s = np.abs(t[:, None] - t)
@@ -65,14 +65,16 @@ def test_a_discrepancy_covaries_as_its_kernel_says(film):
     expected = np.outer(each, each) * in_time * np.exp(-0.5 * gap**2)
     assert root @ root.T == pytest.approx(expected, abs=1e-3 * expected.max())
     # one that cannot be simulated has none
-    assert not _kernel_root(film, np.zeros(FRAMES)).any()
+    (none,) = _kernel_roots(film, np.zeros((1, FRAMES)))
+    assert not none.any()
 
 
 def test_knots_that_are_far_apart_lengthen_the_correlation(film):
     """Of a minute, 64 splines are 0.95 s apart, and two gaps are the correlation time."""
     film.times = np.linspace(0.0, 60.0, FRAMES)
     film.sigma = np.ones(FRAMES * POINTS)
-    root = _kernel_root(film, np.ones(FRAMES))[film.s == LENGTH]
+    (whole,) = _kernel_roots(film, np.ones((1, FRAMES)))
+    root = whole[film.s == LENGTH]
     gap = np.sqrt(3) * 7.5 / (2 * 60 / 63)
     expected = (1 + gap) * np.exp(-gap)
     assert root[0] @ root[1] == pytest.approx(expected, abs=0.02)
@@ -88,7 +90,7 @@ def test_white_noise_is_white_in_the_coefficients(errors):
 def dense_discrepancy(film, errors, course):
     """Compute the covariance of a course in coefficients from that of points."""
     onset, scale_index = divmod(course, SCALES)
-    root = _kernel_root(film, sizes_by_onset(film.times, GROWTH)[onset])
+    root = list(_kernel_roots(film, sizes_by_onset(film.times, GROWTH)))[onset]
     at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
     at_points[::2, : root.shape[1]] = root  # x
     at_points[1::2, root.shape[1] :] = root  # y
@@ -159,7 +161,7 @@ def test_when_a_discrepancy_begins_is_found(film, onset):
     film.times = np.linspace(2.0, 3.2, FRAMES)
     errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
     rng = np.random.default_rng(4)
-    root = _kernel_root(film, sizes_by_onset(film.times, GROWTH)[onset])
+    root = list(_kernel_roots(film, sizes_by_onset(film.times, GROWTH)))[onset]
     amplitudes = rng.standard_normal((20, root.shape[1], 2))
     residuals = (0.02 * root @ amplitudes).reshape(20, -1)
     residuals += rng.standard_normal(residuals.shape)
