@@ -19,7 +19,7 @@ from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.used_frames import trim_trailing_rest
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.discrepancy_grid import most_likely_course
+from stringcast.stages.inference.discrepancy_grid import most_likely_grid_point
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
@@ -112,8 +112,10 @@ def fit_clock(
     hypothesis = Hypothesis(likelihood.model)
     data = attach_discrepancy_model(measured, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
-    courses = most_likely_course(data.log_likelihood_by_course(residuals))[:, 0]
-    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], courses))
+    grid_points = most_likely_grid_point(data.log_likelihood_by_grid_point(residuals))[
+        :, 0
+    ]
+    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], grid_points))
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:
@@ -128,7 +130,7 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
         replace(model, measured_ranges={**model.measured_ranges, **fixed})
     )
     start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
-    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.courses)
+    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.grid_points)
     before = unexplained_tip_rms(clock.data, without)
     after = unexplained_tip_rms(clock.data, fit)
     return float(1 - np.sum(after**2) / np.sum(before**2))
@@ -180,9 +182,9 @@ def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
     signs = np.where(fit.chi[others] > 0.5, -1.0, 1.0)
     steps[np.arange(1, size), others] = signs * solver.MAX_DIFFERENCE
     lanes = (chi[:, None] + steps).reshape(-1, size)
-    rows = clock.data.whiten(clock.data.residuals(model, lanes), fit.courses).reshape(
-        PROFILE_SIZE, size, -1
-    )
+    rows = clock.data.whiten(
+        clock.data.residuals(model, lanes), fit.grid_points
+    ).reshape(PROFILE_SIZE, size, -1)
 
     log_likelihood = np.zeros(PROFILE_SIZE)
     from_middle = fit.chi[others] - 0.5
@@ -200,7 +202,7 @@ def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
 def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
     """Refit from other exponents (P,); return the better of both fits."""
     fit = clock.fit
-    other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.courses)
+    other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.grid_points)
     return replace(clock, fit=other) if other.log_evidence > fit.log_evidence else clock
 
 

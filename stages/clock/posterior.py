@@ -63,9 +63,9 @@ def clock_posterior(
     for k, trial in enumerate(clock.data.trials):
         string_columns = np.delete(fit.slopes[k], clock.index, axis=0)
         rows = np.concatenate([clock_columns[k], string_columns, background[k]])
-        course = fit.courses[k]
-        white = trial.error_model.whiten(rows, course)
-        residual = trial.error_model.whiten(fit.residuals[k][None], course)[0]
+        grid_point = fit.grid_points[k]
+        white = trial.error_model.whiten(rows, grid_point)
+        residual = trial.error_model.whiten(fit.residuals[k][None], grid_point)[0]
         normal += white @ white.T
         gradient += white @ residual
 

@@ -88,7 +88,7 @@ def _white_shifts(
         present, without = np.split(rows, 2)
         diverged = (present == DIVERGED_RESIDUAL) | (without == DIVERGED_RESIDUAL)
         shifts.append(np.where(diverged, 0.0, present - without))
-    return data.for_hypothesis(hypothesis).whiten(shifts, fit.courses)
+    return data.for_hypothesis(hypothesis).whiten(shifts, fit.grid_points)
 
 
 def probability_by_agreement(

@@ -194,12 +194,12 @@ def _normal_equations_by_trial(
         Slopes times the white residual.
     """
     data = data.for_hypothesis(fit.hypothesis)
-    courses = fit.courses
+    grid_points = fit.grid_points
     pairs = zip(fit.slopes, background, strict=True)
     slopes = [np.concatenate(pair) for pair in pairs]
     residuals = [residual[None] for residual in fit.residuals]
-    white_slopes = data.whiten_by_trial(slopes, courses)
-    white_residuals = data.whiten_by_trial(residuals, courses)
+    white_slopes = data.whiten_by_trial(slopes, grid_points)
+    white_residuals = data.whiten_by_trial(residuals, grid_points)
     products = []
     gradients = []
     for slope, residual in zip(white_slopes, white_residuals, strict=True):

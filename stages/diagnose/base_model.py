@@ -14,7 +14,7 @@ from stringcast.stages.diagnose.measures import (
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE, Criteria
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.discrepancy_grid import courses_of_scale
+from stringcast.stages.inference.discrepancy_grid import grid_points_of_scale
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, log_likelihoods
 from stringcast.stages.inference.likelihood import Likelihood
@@ -140,16 +140,16 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
 
     What begins in the middle of trials and is unknown leads a fit to all of them
     astray. So the trials are fitted as if an unknown motion began at each onset in
-    turn. The best of these fits goes on with the most likely courses.
+    turn. The best of these fits goes on with the most likely grid points.
     """
     hypothesis = fit.hypothesis
     extended = data.for_hypothesis(hypothesis)
     starts = []
-    for course in courses_of_scale(UNKNOWN_MOTION_M)[1:]:
+    for grid_point in grid_points_of_scale(UNKNOWN_MOTION_M)[1:]:
         likelihood = Likelihood(
             extended,
             hypothesis.model,
-            np.full(len(data.trials), course),
+            np.full(len(data.trials), grid_point),
             uniform_indices=hypothesis.base_indices,
         )
         run = solver.fit_least_squares(
@@ -158,7 +158,7 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
         starts.append(run.chi[0])
     by_start = log_likelihoods(data, hypothesis, np.stack(starts)).sum(axis=0)
     best = starts[int(np.argmax(by_start))]
-    return fit_hypothesis(data, hypothesis, best[None], fit.courses)
+    return fit_hypothesis(data, hypothesis, best[None], fit.grid_points)
 
 
 def widen_ranges_with_causes(
@@ -194,12 +194,12 @@ def widen_ranges_with_causes(
 
     # The correction's centre is given by exponents of the narrow range: no range has it
     data = replace(data, mesh_correction=None)
-    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.courses)
+    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.grid_points)
     left_m = unexplained_tip_rms(data, narrow)
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
         start = widened.model.exponents_of_values(narrow.values)
-        refitted = fit_hypothesis(data, widened, start[None], fit.courses)
+        refitted = fit_hypothesis(data, widened, start[None], fit.grid_points)
         explained = mean_explained_fraction(
             left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m
         )

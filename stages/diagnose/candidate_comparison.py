@@ -168,12 +168,12 @@ def _fit_more_proposals(
         name = proposal.effect.name
         log.info("%d of %d: %s", number + 1, len(proposals), name)
         hypothesis = proposal.hypothesis
-        courses = sampled_parent.courses
-        fit = fit_hypothesis(sample, hypothesis, proposal.starts, courses, min_gain)
+        grid_points = sampled_parent.grid_points
+        fit = fit_hypothesis(sample, hypothesis, proposal.starts, grid_points, min_gain)
         if sample is not data:
-            courses = parent.courses
+            grid_points = parent.grid_points
             start = fit.chi[None]
-            fit = fit_hypothesis(data, hypothesis, start, courses, min_gain)
+            fit = fit_hypothesis(data, hypothesis, start, grid_points, min_gain)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -226,7 +226,7 @@ def _find_better_parent(
         prepared.data,
         hypothesis,
         starts,
-        parent.courses,
+        parent.grid_points,
         NEGLIGIBLE_LOG_EVIDENCE,
     )
     gain = other.log_evidence - parent.log_evidence

@@ -46,8 +46,8 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
     def fit_exchange(number: int) -> Fit:
         hypothesis, starts = exchanges[number]
         data = state.prepared.data
-        courses = state.fit.courses
-        fit = fit_hypothesis(data, hypothesis, starts, courses, min_gain)
+        grid_points = state.fit.grid_points
+        fit = fit_hypothesis(data, hypothesis, starts, grid_points, min_gain)
         gain = fit.log_evidence - state.fit.log_evidence
         log.info("%s: log evidence %+.1f", " + ".join(hypothesis.cause_names), gain)
         return fit

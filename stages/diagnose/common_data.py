@@ -140,5 +140,5 @@ def _refit(
     data: TrialData, fit: Fit, starts: np.ndarray, min_gain: float
 ) -> np.ndarray:
     """Find where a fit moves from exponents (C, P) on some data."""
-    chi, _ = best_exponents(data, fit.hypothesis, starts, fit.courses, min_gain)
+    chi, _ = best_exponents(data, fit.hypothesis, starts, fit.grid_points, min_gain)
     return chi

@@ -98,7 +98,7 @@ def _find_confirmed_rival(
         hypothesis = without.fit.hypothesis.with_cause(other)
         start = hypothesis.exponents_from(rival.exponents | without.fit.exponents)
         fit = fit_hypothesis(
-            state.prepared.data, hypothesis, start[None], state.fit.courses
+            state.prepared.data, hypothesis, start[None], state.fit.grid_points
         )
         exchanged = with_fit(state, fit)
         again_without = _without_cause(exchanged, other)

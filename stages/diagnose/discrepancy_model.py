@@ -125,8 +125,8 @@ def with_random_effects(
         log_likelihoods = []
         for candidate in candidates:
             extended = candidate.for_hypothesis(hypothesis)
-            by_course = extended.log_likelihood_by_course(residuals)
-            log_likelihoods.append(marginal_log_likelihood(by_course).sum())
+            by_grid_point = extended.log_likelihood_by_grid_point(residuals)
+            log_likelihoods.append(marginal_log_likelihood(by_grid_point).sum())
         data = candidates[int(np.argmax(log_likelihoods))]
     return data
 

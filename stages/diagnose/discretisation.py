@@ -228,7 +228,7 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
         data,
         hypothesis,
         fit.chi[None],
-        unmoved.courses,
+        unmoved.grid_points,
         NEGLIGIBLE_LOG_EVIDENCE,
     )
 

@@ -215,7 +215,7 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     discrepancy = mean_discrepancy(data, fit)[k].reshape(-1, 2)
     misfit_m = np.linalg.norm(discrepancy, axis=1) * trial.sigma
     worst = int(np.argmax(misfit_m))
-    onset_s = onset_time(trial.times, fit.courses[k])
+    onset_s = onset_time(trial.times, fit.grid_points[k])
     begins = f"from {onset_s:.2f} s on, " if onset_s > trial.times[0] else ""
     return (
         f"most of it in trial {trial.name} ({100 * share:.0f} %), {begins}largest at "

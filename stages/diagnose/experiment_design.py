@@ -45,7 +45,7 @@ from stringcast.stages.diagnose.rules import remainder_hides
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
-from stringcast.stages.inference.discrepancy_grid import median_course
+from stringcast.stages.inference.discrepancy_grid import median_grid_point
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
@@ -114,7 +114,7 @@ class Rivals:
         names = list(self.fits)
         fits = list(self.fits.values())
         count = len(fits)
-        courses = np.array([median_course(fits[0].courses)])
+        grid_points = np.array([median_grid_point(fits[0].grid_points)])
         residuals = []  # (2 n,) of each rival
         slopes = []  # (P, 2 n)
         for fit in fits:
@@ -129,8 +129,8 @@ class Rivals:
         predicted = {names[0]: residuals[0]}
         for true, other in permutations(range(count), 2):
             difference = residuals[other] - residuals[true]
-            white = trial.whiten([difference[None]], courses)[0]
-            white_slopes = trial.whiten([slopes[other]], courses)
+            white = trial.whiten([difference[None]], grid_points)[0]
+            white_slopes = trial.whiten([slopes[other]], grid_points)
             information = LinearisedFit(self.data, fits[other]).information
             normal = information + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)

@@ -50,8 +50,8 @@ def held_out_trials_misfit(
             random_effects[name] = shapes + further.random_effects[name]
     together = TrialData(searched.trials + further.trials, random_effects)
     no_discrepancy = np.zeros(len(further.trials), dtype=int)  # to start with
-    courses = np.concatenate([fit.courses, no_discrepancy])
-    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], courses)
+    grid_points = np.concatenate([fit.grid_points, no_discrepancy])
+    refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], grid_points)
     misfit_m = unexplained_tip_rms(together, refit)[len(searched.trials) :]
     return bool(misfit_m.max() > criteria.tip_tolerance_m)
 

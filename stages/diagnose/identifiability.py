@@ -211,7 +211,7 @@ class _SensitivityAnalysis:
     def __init__(self, data: TrialData, base: Fit, rng: np.random.Generator) -> None:
         no_discrepancy = np.zeros(len(data.trials), dtype=int)
         self.data = data
-        self.base = replace(base, courses=no_discrepancy)
+        self.base = replace(base, grid_points=no_discrepancy)
         self.linear = LinearisedFit(data, self.base)
         self.noise = [_noise_coefficients(t.discrepancy, rng) for t in data.trials]
 
@@ -314,8 +314,8 @@ class _SensitivityAnalysis:
 
 
 def _log_likelihood(discrepancy: Discrepancy, coefficients: np.ndarray) -> np.ndarray:
-    by_course = discrepancy.log_likelihood_by_course(coefficients)
-    return marginal_log_likelihood(by_course)
+    by_grid_point = discrepancy.log_likelihood_by_grid_point(coefficients)
+    return marginal_log_likelihood(by_grid_point)
 
 
 def _log_occam_factor(response: _EffectResponse) -> np.ndarray:

@@ -55,7 +55,7 @@ def exponents_without_groups(
             data.subset(others),
             fit.hypothesis,
             fit.chi[None],
-            fit.courses[others],
+            fit.grid_points[others],
         )
         return chi
 
@@ -85,7 +85,7 @@ class _GaussNewtonSteps:
     ) -> None:
         self.data = data.for_hypothesis(fit.hypothesis)
         self.fit = fit
-        self.slopes = self.data.whiten_by_trial(fit.slopes, fit.courses)
+        self.slopes = self.data.whiten_by_trial(fit.slopes, fit.grid_points)
         precision = np.zeros(len(fit.chi))
         precision[fit.hypothesis.base_indices] = PRIOR_PRECISION
         self.prior_precision = precision
@@ -132,7 +132,7 @@ class _GaussNewtonSteps:
         from_middle = self.chi[active] - 0.5
         gradient = self.prior_precision * from_middle
         loss = 0.5 * np.sum(gradient * from_middle, axis=1)
-        white = self.data.whiten_by_trial(residuals, self.fit.courses)
+        white = self.data.whiten_by_trial(residuals, self.fit.grid_points)
         for k, slope in enumerate(self.slopes):
             used = self.is_used[active, k]
             diverged = (residuals[k] == DIVERGED_RESIDUAL).any(axis=1)

@@ -43,11 +43,11 @@ class LinearisedFit:
     def __post_init__(self) -> None:
         """Whiten what the fit leaves, and its slopes."""
         self.data = self.data.for_hypothesis(self.parent.hypothesis)
-        courses = self.parent.courses
+        grid_points = self.parent.grid_points
         residuals = [residual[None] for residual in self.parent.residuals]
         # (P, N) and (N,)
-        self.white_slopes = self.data.whiten(self.parent.slopes, courses)
-        self.white_residual = self.data.whiten(residuals, courses)[0]
+        self.white_slopes = self.data.whiten(self.parent.slopes, grid_points)
+        self.white_residual = self.data.whiten(residuals, grid_points)[0]
         prior = PRIOR_PRECISION * np.eye(len(self.parent.chi))
         self.information = self.white_slopes @ self.white_slopes.T + prior  # (P, P)
         self.covariance = np.linalg.inv(self.information)
@@ -75,7 +75,7 @@ class LinearisedFit:
         remainder : numpy.ndarray, shape (C, N)
             White responses that the steps leave.
         """
-        white = self.data.whiten(responses, self.parent.courses)
+        white = self.data.whiten(responses, self.parent.grid_points)
         steps = -(white @ self.white_slopes.T) @ self.covariance
         return steps, white + steps @ self.white_slopes
 
@@ -134,8 +134,8 @@ class LinearisedFit:
         for k, residual in enumerate(self.parent.residuals):
             change = responses[k] + steps @ self.parent.slopes[k]
             moved.append(residual + factors[:, None] * change)
-        by_course = self.data.log_likelihood_by_course(moved)
-        after = marginal_log_likelihood(by_course)  # (K, C)
+        by_grid_point = self.data.log_likelihood_by_grid_point(moved)
+        after = marginal_log_likelihood(by_grid_point)  # (K, C)
         before = self.parent.log_likelihood_by_trial[:, None]
         gain = (after - before).sum(axis=0)
         diverged = (responses[0] == DIVERGED_RESIDUAL).any(axis=1)

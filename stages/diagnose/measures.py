@@ -35,7 +35,7 @@ def refit(
     min_gain: a step that gains less of the log-likelihood ends its turn.
     """
     start = hypothesis.exponents_from(fit.exponents)
-    return fit_hypothesis(data, hypothesis, start[None], fit.courses, min_gain)
+    return fit_hypothesis(data, hypothesis, start[None], fit.grid_points, min_gain)
 
 
 def fit_in_workers(
@@ -61,7 +61,7 @@ def in_different_places(fits: Sequence[Fit]) -> list[Fit]:
 def residuals_without_nuisance(data: TrialData, fit: Fit) -> ByTrial:
     """Subtract what the nuisance most likely explains of a fit's residuals, (2 n,)."""
     extended = data.for_hypothesis(fit.hypothesis)
-    return extended.without_nuisance(fit.residuals, fit.courses)
+    return extended.without_nuisance(fit.residuals, fit.grid_points)
 
 
 def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
@@ -138,8 +138,8 @@ def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float
     rest = data.subset(others)
     log_evidence = []
     for one in (fit, parent):
-        courses = one.courses[others]
-        refitted = fit_hypothesis(rest, one.hypothesis, one.chi[None], courses)
+        grid_points = one.grid_points[others]
+        refitted = fit_hypothesis(rest, one.hypothesis, one.chi[None], grid_points)
         log_evidence.append(refitted.log_evidence)
     return log_evidence[0] - log_evidence[1]
 

@@ -198,8 +198,8 @@ def with_most_probable_causes(
         exponents |= fit.exponents
     together = Hypothesis(state.fit.hypothesis.base, tuple(likeliest))
     start = together.exponents_from(exponents)
-    courses = state.fit.courses
-    fit = fit_hypothesis(state.prepared.data, together, start[None], courses)
+    grid_points = state.fit.grid_points
+    fit = fit_hypothesis(state.prepared.data, together, start[None], grid_points)
     other = with_fit(state, fit)
     return other if other.fit.log_evidence > state.fit.log_evidence else state
 

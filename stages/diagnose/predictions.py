@@ -22,7 +22,7 @@ from stringcast.stages.estimate.matching import (
 )
 from stringcast.stages.inference.discrepancy_grid import (
     marginal_log_likelihood,
-    most_likely_course,
+    most_likely_grid_point,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import with_initial_states_at
@@ -62,10 +62,10 @@ def predict_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
     restarted = with_initial_states_at(data, fit)
     trials = restarted.for_hypothesis(hypothesis)
     residuals = trials.residuals(hypothesis.model, fit.chi[None])
-    by_course = trials.log_likelihood_by_course(residuals)[:, 0]  # (K, W S)
-    courses = most_likely_course(by_course)
-    rest = trials.without_nuisance([rows[0] for rows in residuals], courses)
-    log_likelihoods = marginal_log_likelihood(by_course).tolist()
+    by_grid_point = trials.log_likelihood_by_grid_point(residuals)[:, 0]  # (K, W S)
+    grid_points = most_likely_grid_point(by_grid_point)
+    rest = trials.without_nuisance([rows[0] for rows in residuals], grid_points)
+    log_likelihoods = marginal_log_likelihood(by_grid_point).tolist()
     predictions = []
     for residual, log_likelihood in zip(rest, log_likelihoods, strict=True):
         prediction = TrialPrediction(hypothesis, fit.chi, residual, log_likelihood)

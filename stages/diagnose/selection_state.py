@@ -96,7 +96,7 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
     starts = alternative_parameter_starts(data, fit)
     if not len(starts):
         return refined
-    other = fit_hypothesis(data, fit.hypothesis, starts, fit.courses)
+    other = fit_hypothesis(data, fit.hypothesis, starts, fit.grid_points)
     if other.log_evidence <= fit.log_evidence:
         return refined
     # What it gained may be the numerical error of where it was
@@ -203,7 +203,7 @@ def with_causes_found_before(
     hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
     # The ranges may be others with more trials
     start = hypothesis.model.exponents_of_values(found.fit.values)
-    fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.courses)
+    fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.grid_points)
     rng = np.random.default_rng(seed)
     steps = _without_fits(found.steps, prepared.data)
     state = SelectionState(prepared, base, steps, unnamed=found.unnamed)
@@ -217,8 +217,10 @@ def without_chaotic_trials(
     is_kept = [trial.name not in names for trial in state.prepared.data.trials]
     prepared = without_trials(state.prepared, names)
     before = state.fit
-    courses = before.courses[is_kept]
-    fit = fit_hypothesis(prepared.data, before.hypothesis, before.chi[None], courses)
+    grid_points = before.grid_points[is_kept]
+    fit = fit_hypothesis(
+        prepared.data, before.hypothesis, before.chi[None], grid_points
+    )
     refined = refine_fit(prepared, fit)
     steps = _without_fits(state.steps, refined.prepared.data)
     remaining = SelectionState(

@@ -53,7 +53,7 @@ def explained_shares(
     moved = subtract_by_trial(without.residuals, fit.residuals)
     shares = []
     for k, trial in enumerate(data.trials):
-        has_begun = trial.point_times >= onset_time(trial.times, fit.courses[k])
+        has_begun = trial.point_times >= onset_time(trial.times, fit.grid_points[k])
         while_model_holds = trial.is_tip & ~has_begun
         for frames in (while_model_holds, trial.is_tip):
             if _tip_rms(trial, moved[k], frames) < min_tip_shift_m:

@@ -46,7 +46,7 @@ from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     ONSET_SHARES,
     sizes_by_onset,
-    split_course,
+    split_grid_point,
 )
 from stringcast.stages.inference.noise import MeasuredTrial, gram_roots
 from stringcast.stages.inference.whitening import LowRankWhitening
@@ -224,22 +224,24 @@ class Discrepancy:
             nuisance_shapes=np.hstack([shapes, later_shapes]),
         )
 
-    def whiten(self, residual: np.ndarray, course: int) -> np.ndarray:
+    def whiten(self, residual: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute V^(-1/2) of residuals over sigma (C, 2 n), (C, 2 M)."""
-        return self.whiten_coefficients(self.coefficients(residual), course)
+        return self.whiten_coefficients(self.coefficients(residual), grid_point)
 
-    def whiten_coefficients(self, coefficients: np.ndarray, course: int) -> np.ndarray:
+    def whiten_coefficients(
+        self, coefficients: np.ndarray, grid_point: int
+    ) -> np.ndarray:
         """Compute V^(-1/2) of coefficients (C, 2 M)."""
-        onset, _ = split_course(course)
-        if course not in self._whitenings:
-            deviation = np.sqrt(1.0 + self._variance_of(course))
+        onset, _ = split_grid_point(grid_point)
+        if grid_point not in self._whitenings:
+            deviation = np.sqrt(1.0 + self._variance_of(grid_point))
             columns = self._turned_nuisance[onset] / deviation[:, None]
             whitening = LowRankWhitening.from_columns(columns)
-            self._whitenings[course] = (deviation, whitening)
-        deviation, whitening = self._whitenings[course]
+            self._whitenings[grid_point] = (deviation, whitening)
+        deviation, whitening = self._whitenings[grid_point]
         return whitening(self._turn(coefficients, onset) / deviation)
 
-    def log_likelihood_by_course(self, coefficients: np.ndarray) -> np.ndarray:
+    def log_likelihood_by_grid_point(self, coefficients: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of coefficients (C, 2 M), (C, W S).
 
         With V = D + U U', by the Woodbury identity and the determinant lemma
@@ -256,14 +258,14 @@ class Discrepancy:
             by_onset.append(-0.5 * (square - explained.T + log_determinant))
         return np.concatenate(by_onset, axis=1)
 
-    def posterior_mean(self, coefficients: np.ndarray, course: int) -> np.ndarray:
+    def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
 
         coefficients: of the residual, (2 M,).
         """
-        onset, _ = split_course(course)
-        variance = self._variance_of(course)
-        amplitudes = self._nuisance_amplitudes(coefficients, course)
+        onset, _ = split_grid_point(grid_point)
+        variance = self._variance_of(grid_point)
+        amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         explained = self.nuisance_coefficients @ amplitudes
         turned = self._turn((coefficients - explained)[None], onset)
         smooth = turned * variance / (1.0 + variance)
@@ -272,7 +274,7 @@ class Discrepancy:
     def sample_posterior(
         self,
         coefficients: np.ndarray,
-        course: int,
+        grid_point: int,
         count: int,
         rng: np.random.Generator,
         chosen: np.ndarray,
@@ -281,23 +283,25 @@ class Discrepancy:
 
         chosen: a mask of the m points at which they are wanted, (n,).
         """
-        onset, _ = split_course(course)
-        variance = self._variance_of(course)
+        onset, _ = split_grid_point(grid_point)
+        variance = self._variance_of(grid_point)
         normal = rng.standard_normal((count, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
         by_spline = self._to_splines(scatter, onset)
         by_point = (self.splines[chosen] @ by_spline).reshape(-1, count, 2)
         offset = by_point.transpose(1, 0, 2).reshape(count, -1)
-        mean = self.posterior_mean(coefficients, course)
+        mean = self.posterior_mean(coefficients, grid_point)
         return np.asarray(mean[np.repeat(chosen, 2)] + offset)
 
-    def nuisance_mean(self, coefficients: np.ndarray, course: int) -> np.ndarray:
+    def nuisance_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
-        amplitudes = self._nuisance_amplitudes(coefficients, course)
+        amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
-    def _nuisance_amplitudes(self, coefficients: np.ndarray, course: int) -> np.ndarray:
-        onset, scale_index = split_course(course)
+    def _nuisance_amplitudes(
+        self, coefficients: np.ndarray, grid_point: int
+    ) -> np.ndarray:
+        onset, scale_index = split_grid_point(grid_point)
         covariance, _ = self._nuisance_by_onset[onset]
         turned = self._turn(coefficients[None], onset)[0]
         weighted = self.precision[onset, scale_index] * turned
@@ -314,9 +318,9 @@ class Discrepancy:
         by_axis = turned.reshape(-1, len(self.to_coefficients))
         return np.asarray(self.to_splines @ (self.rotation[onset] @ by_axis.T))
 
-    def _variance_of(self, course: int) -> np.ndarray:
-        """Look up the variance of turned coefficients in a course, (2 M,)."""
-        onset, scale_index = split_course(course)
+    def _variance_of(self, grid_point: int) -> np.ndarray:
+        """Look up the variance of turned coefficients in a grid point, (2 M,)."""
+        onset, scale_index = split_grid_point(grid_point)
         scale_m = DISCREPANCY_SCALES_M[scale_index]
         return np.tile(scale_m**2 * self.variance[onset], 2)
 
@@ -328,7 +332,7 @@ class Discrepancy:
 
     @cached_property
     def _whitenings(self) -> dict[int, tuple[np.ndarray, LowRankWhitening]]:
-        """Deviations (2 M,) without nuisance and the rest of V, by course."""
+        """Deviations (2 M,) without nuisance and the rest of V, by grid point."""
         return {}
 
     @cached_property

@@ -5,8 +5,8 @@ discrepancy has an onset. Before it the discrepancy is a hundredth of what it wo
 otherwise be, and the measured points count nearly as if there were none. Its scale s
 [m] is its root mean square at the tip over the trial.
 
-A **course** is an onset and a scale. It is known by its index: all scales of the first
-onset come first.
+A **grid point** is an onset and a scale. It is known by its index: all scales of the
+first onset come first.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
     return np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
 
 
-def split_course(course: int) -> tuple[int, int]:
-    """Look up the indices of the onset and of the scale of a course."""
-    return divmod(int(course), len(DISCREPANCY_SCALES_M))
+def split_grid_point(grid_point: int) -> tuple[int, int]:
+    """Look up the indices of the onset and of the scale of a grid point."""
+    return divmod(int(grid_point), len(DISCREPANCY_SCALES_M))
 
 
-def onset_time(times: np.ndarray, course: int) -> float:
-    """Find when a course begins in a trial with frames at times (F,) [s]."""
-    onset, _ = split_course(course)
+def onset_time(times: np.ndarray, grid_point: int) -> float:
+    """Look up the onset of a grid point in a trial with frames at times (F,) [s]."""
+    onset, _ = split_grid_point(grid_point)
     return float(onset_times(times)[onset])
 
 
-def courses_of_scale(scale_m: float) -> np.ndarray:
-    """Find the course of each onset whose scale is nearest above one, (W,)."""
+def grid_points_of_scale(scale_m: float) -> np.ndarray:
+    """Find the grid point of each onset whose scale is nearest above one, (W,)."""
     first = np.arange(len(ONSET_SHARES)) * len(DISCREPANCY_SCALES_M)
     return first + int(np.searchsorted(DISCREPANCY_SCALES_M, scale_m))
 
 
-def median_course(courses: np.ndarray) -> int:
-    """Choose the course from the beginning with the median scale of others."""
-    return int(np.median(courses % len(DISCREPANCY_SCALES_M)))
+def median_grid_point(grid_points: np.ndarray) -> int:
+    """Choose the first onset and the median scale of some grid points."""
+    return int(np.median(grid_points % len(DISCREPANCY_SCALES_M)))
 
 
 def log_scale_prior() -> np.ndarray:
@@ -72,22 +72,22 @@ def log_scale_prior() -> np.ndarray:
     return np.asarray(np.log(np.diff(cumulative)))
 
 
-def log_course_prior() -> np.ndarray:
-    """Compute the log prior of the courses, (W S,)."""
+def log_grid_prior() -> np.ndarray:
+    """Compute the log prior of the grid points, (W S,)."""
     onsets = len(ONSET_SHARES)
     return np.tile(log_scale_prior() - np.log(onsets), onsets)
 
 
 def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Integrate the course out of log-likelihoods (..., W S)."""
-    return np.asarray(logsumexp(log_likelihoods + log_course_prior(), axis=-1))
+    """Integrate the grid point out of log-likelihoods (..., W S)."""
+    return np.asarray(logsumexp(log_likelihoods + log_grid_prior(), axis=-1))
 
 
-def most_likely_course(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the index of the most probable course, given log-likelihoods (..., W S).
+def most_likely_grid_point(log_likelihoods: np.ndarray) -> np.ndarray:
+    """Find the index of the most probable grid point, given log-likelihoods (..., W S).
 
     Without a discrepancy all onsets are the same, and the first one is chosen.
     """
-    courses = np.argmax(log_likelihoods + log_course_prior(), axis=-1)
-    has_discrepancy = courses % len(DISCREPANCY_SCALES_M) > 0
-    return np.where(has_discrepancy, courses, 0)
+    grid_points = np.argmax(log_likelihoods + log_grid_prior(), axis=-1)
+    has_discrepancy = grid_points % len(DISCREPANCY_SCALES_M) > 0
+    return np.where(has_discrepancy, grid_points, 0)

@@ -16,7 +16,7 @@ import numpy as np
 
 from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference.batch import normalised_residuals
-from stringcast.stages.inference.discrepancy_grid import most_likely_course
+from stringcast.stages.inference.discrepancy_grid import most_likely_grid_point
 from stringcast.stages.inference.huber import HUBER_LIMIT
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import INITIAL_MODES, PreparedTrial
@@ -250,13 +250,13 @@ def trials_with_reestimated_start(
     data = data.for_hypothesis(hypothesis)
     values = parameter_values(hypothesis.parameters, fit.chi[None])[0]
     residuals = data.residuals(hypothesis.model, fit.chi[None])
-    by_course = data.log_likelihood_by_course(residuals)[:, 0]
-    courses = most_likely_course(by_course).tolist()
+    by_grid_point = data.log_likelihood_by_grid_point(residuals)[:, 0]
+    grid_points = most_likely_grid_point(by_grid_point).tolist()
     trials = []
-    for trial, course in zip(data.trials, courses, strict=True):
+    for trial, grid_point in zip(data.trials, grid_points, strict=True):
         extended = replace(trial, model=hypothesis.model)
         if trial.initial_state is not None:
-            extended = _most_likely_initial_state(trial, extended, course, values)
+            extended = _most_likely_initial_state(trial, extended, grid_point, values)
         trials.append(extended)
     return tuple(trials)
 
@@ -289,7 +289,7 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
 def _most_likely_initial_state(
     trial: PreparedTrial,
     extended: PreparedTrial,
-    course: int,
+    grid_point: int,
     values: np.ndarray,
 ) -> PreparedTrial:
     """Find the most likely initial state with values (P,) of the extended model.
@@ -304,6 +304,6 @@ def _most_likely_initial_state(
     rest = trial.discrepancy.replace_leading_nuisance(shapes[:, :0], count)
 
     def whiten(residual: np.ndarray) -> np.ndarray:
-        return rest.whiten(residual + displaced, course)
+        return rest.whiten(residual + displaced, grid_point)
 
     return fit_initial_state(extended, extended, values, whiten, MODES_MIN_GAIN)

@@ -4,11 +4,11 @@
                 + ln p(theta | h)                 log prior of the causes' amplitudes
                 + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
-y_k are the coefficients of trial k, with the course of its discrepancy integrated out
-(`discrepancy`); H is the curvature at the best theta. The prior of an amplitude of a
-cause is one of its tip shift: the root mean square, over all frames of all trials, of
-how far it moves the tip [m]. It is half-normal of several widths. So causes of any unit
-are equally likely, and one that moves nothing is no worse than none.
+y_k are the coefficients of trial k, with the onset and scale of its discrepancy
+integrated out (`discrepancy`); H is the curvature at the best theta. The prior of an
+amplitude of a cause is one of its tip shift: the root mean square, over all frames of
+all trials, of how far it moves the tip [m]. It is half-normal of several widths. So
+causes of any unit are equally likely, and one that moves nothing is no worse than none.
 
 All other exponents are uniform in [0, 1]. In H, and for those of the base model in the
 fit, a normal of the same variance stands for that: it gives a finite volume to what the
@@ -28,7 +28,7 @@ import numpy as np
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import (
     marginal_log_likelihood,
-    most_likely_course,
+    most_likely_grid_point,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
@@ -66,10 +66,11 @@ class Fit:
         Of the residuals with chi, (P, 2 n) of each trial.
     width
         Of chi, over which these were differenced, (P,).
-    courses
-        The most probable course of each trial's discrepancy (`discrepancy_grid`), (K,).
+    grid_points
+        The most probable onset and scale of each trial's discrepancy, (K,): indices of
+        the grid (`discrepancy_grid`).
     log_likelihood_by_trial
-        Log-likelihood of each trial, whatever that course, (K,).
+        Log-likelihood of each trial, whatever these are, (K,).
     log_evidence
         Ln p(y | h).
     log_evidence_error
@@ -83,7 +84,7 @@ class Fit:
     residuals: ByTrial
     slopes: ByTrial
     width: np.ndarray
-    courses: np.ndarray
+    grid_points: np.ndarray
     log_likelihood_by_trial: np.ndarray
     log_evidence: float
     log_evidence_error: float = 0.0
@@ -113,21 +114,21 @@ def fit_hypothesis(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    courses: np.ndarray,
+    grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
-    """Fit a hypothesis: its parameters and the discrepancies' courses.
+    """Fit a hypothesis: its parameters and where discrepancies are on their grid.
 
     Parameters
     ----------
     starts
         Exponents, (C, P).
-    courses
+    grid_points
         Courses to start with, (K,).
     min_gain
         A step that gains less of the log-likelihood ends its turn.
     """
-    chi, width = best_exponents(data, hypothesis, starts, courses, min_gain)
+    chi, width = best_exponents(data, hypothesis, starts, grid_points, min_gain)
     return evaluate_fit(data, hypothesis, chi, width)
 
 
@@ -136,7 +137,7 @@ def best_exponents(
     data: TrialData,
     hypothesis: Hypothesis,
     starts: np.ndarray,
-    courses: np.ndarray,
+    grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the exponents of a fit (P,), and over which widths (P,) to difference them.
@@ -148,25 +149,27 @@ def best_exponents(
     uniform = hypothesis.base_indices
 
     # Several starts side by side; the best of them goes on
-    likelihood = Likelihood(data, model, courses, uniform_indices=uniform)
+    likelihood = Likelihood(data, model, grid_points, uniform_indices=uniform)
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
     runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
-    by_course = data.log_likelihood_by_course(data.residuals(model, runs.chi))
-    best = int(np.argmax(marginal_log_likelihood(by_course).sum(axis=0)))
+    by_grid_point = data.log_likelihood_by_grid_point(data.residuals(model, runs.chi))
+    best = int(np.argmax(marginal_log_likelihood(by_grid_point).sum(axis=0)))
     run = runs.select(best)
-    updated = most_likely_course(by_course[:, best])
+    updated = most_likely_grid_point(by_grid_point[:, best])
 
-    # The courses and one step of the parameters in turn
+    # The grid points and one step of the parameters in turn
     for _ in range(solver.MAX_ITERATIONS):
-        if (updated != likelihood.courses).any():
-            likelihood = replace(likelihood, courses=updated)
+        if (updated != likelihood.grid_points).any():
+            likelihood = replace(likelihood, grid_points=updated)
             run.reweight(likelihood)
         elif not run.active.any():
             break
         solver.iterate_runs(likelihood, run, min_gain)
-        by_course = data.log_likelihood_by_course(data.residuals(model, run.chi))
-        updated = most_likely_course(by_course[:, 0])
+        by_grid_point = data.log_likelihood_by_grid_point(
+            data.residuals(model, run.chi)
+        )
+        updated = most_likely_grid_point(by_grid_point[:, 0])
     return run.chi[0], run.width[0]
 
 
@@ -176,7 +179,7 @@ def log_likelihoods(
     """Compute the log-likelihood of each trial at exponents (C, P), (K, C)."""
     data = data.for_hypothesis(hypothesis)
     residuals = data.residuals(hypothesis.model, chi)
-    return marginal_log_likelihood(data.log_likelihood_by_course(residuals))
+    return marginal_log_likelihood(data.log_likelihood_by_grid_point(residuals))
 
 
 def evaluate_fit(
@@ -194,9 +197,9 @@ def evaluate_fit(
     residuals = [row[0] for row in rows]
 
     # Log likelihood of the trials
-    by_course = data.log_likelihood_by_course(rows)[:, 0]
-    courses = most_likely_course(by_course)
-    by_trial = marginal_log_likelihood(by_course)
+    by_grid_point = data.log_likelihood_by_grid_point(rows)[:, 0]
+    grid_points = most_likely_grid_point(by_grid_point)
+    by_trial = marginal_log_likelihood(by_grid_point)
 
     # Slopes, and residuals with each of the A amplitudes absent in turn
     amplitudes: list[int] = []
@@ -210,7 +213,7 @@ def evaluate_fit(
         slopes, _ = _residual_slopes(
             data, hypothesis, chi, width, residuals, without_one
         )
-        white = data.whiten(slopes, courses)
+        white = data.whiten(slopes, grid_points)
         width = solver.difference_widths(white[None], np.ones(1))[0]
     slopes, others = _residual_slopes(
         data, hypothesis, chi, width, residuals, without_one
@@ -231,12 +234,12 @@ def evaluate_fit(
     # Log volume of the posterior
     precision = np.full(len(chi), PRIOR_PRECISION)
     precision[amplitudes] = AMPLITUDE_PRECISION
-    white_slopes = data.whiten(slopes, courses)
+    white_slopes = data.whiten(slopes, grid_points)
     curvature = white_slopes @ white_slopes.T + np.diag(precision)
     volume = log_volume(curvature)
 
     # What one more step promises
-    white_residual = data.whiten([row[:1] for row in rows], courses)[0]
+    white_residual = data.whiten([row[:1] for row in rows], grid_points)[0]
     gradient = white_slopes @ white_residual
     base = hypothesis.base_indices
     gradient[base] += PRIOR_PRECISION * (chi[base] - 0.5)
@@ -247,7 +250,7 @@ def evaluate_fit(
         residuals,
         slopes,
         width,
-        courses,
+        grid_points,
         by_trial,
         float(by_trial.sum() + prior + volume),
         solver.promised_gain(curvature, gradient, chi),
@@ -304,7 +307,7 @@ def mean_discrepancy(data: TrialData, fit: Fit) -> ByTrial:
     for k, trial in enumerate(data.for_hypothesis(fit.hypothesis).trials):
         discrepancy = trial.discrepancy
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
-        means.append(discrepancy.posterior_mean(coefficients, fit.courses[k]))
+        means.append(discrepancy.posterior_mean(coefficients, fit.grid_points[k]))
     return means
 
 
@@ -323,7 +326,7 @@ def sample_discrepancy_tip_rms(
         coefficients = discrepancy.coefficients(fit.residuals[k][None])[0]
         at_tip = discrepancy.sample_posterior(
             coefficients,
-            fit.courses[k],
+            fit.grid_points[k],
             DISCREPANCY_DRAWS,
             rng,
             trial.is_tip,

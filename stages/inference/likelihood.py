@@ -3,9 +3,9 @@
     residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
 for trial k, whose error model gives V_k: independent noise of some scale, or a smooth
-discrepancy of a fixed course (`discrepancy`), and displacements U_k a with unknown a ~
-N(0, 1), such as by another initial state. Integrated over a, these are noise of
-covariance V_k. What U_k could explain counts for less.
+discrepancy of a fixed onset and scale (`discrepancy`), and displacements U_k a with
+unknown a ~ N(0, 1), such as by another initial state. Integrated over a, these are
+noise of covariance V_k. What U_k could explain counts for less.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Likelihood:
         The trials with their error models.
     model
         That is fitted to them.
-    courses
-        The course of each trial's discrepancy, (K,). None where no trial
-        has a discrepancy: independent errors have a single scale.
+    grid_points
+        The onset and scale of each trial's discrepancy, (K,), as indices of the grid.
+        None where no trial has a discrepancy: independent errors have a single scale.
     limit
         Standard deviations beyond which a residual counts less (Huber), or infinite.
     uniform_indices
@@ -50,7 +50,7 @@ class Likelihood:
 
     data: TrialData
     model: Model
-    courses: np.ndarray | None = None
+    grid_points: np.ndarray | None = None
     limit: float = np.inf
     uniform_indices: Sequence[int] = ()
 
@@ -82,11 +82,11 @@ class Likelihood:
     def residuals_by_trial(self, chi: np.ndarray) -> ByTrial:
         """Compute white residuals of each trial, (C, N_k)."""
         residuals = self.data.residuals(self.model, chi)
-        courses = self.courses
-        if courses is None:
-            courses = np.zeros(len(residuals), dtype=int)
+        grid_points = self.grid_points
+        if grid_points is None:
+            grid_points = np.zeros(len(residuals), dtype=int)
         white = []
-        whitened = self.data.whiten_by_trial(residuals, courses)
+        whitened = self.data.whiten_by_trial(residuals, grid_points)
         for residual, white_residual in zip(residuals, whitened, strict=True):
             diverged = (residual == DIVERGED_RESIDUAL).any(axis=1, keepdims=True)
             white.append(np.where(diverged, DIVERGED_RESIDUAL, white_residual))

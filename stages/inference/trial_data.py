@@ -124,46 +124,48 @@ class TrialData:
                 residuals[k][diverged] = DIVERGED_RESIDUAL
         return residuals
 
-    def whiten(self, residuals: ByTrial, courses: np.ndarray) -> np.ndarray:
+    def whiten(self, residuals: ByTrial, grid_points: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).
 
-        courses: of each trial's discrepancy, (K,).
+        grid_points: of each trial's discrepancy, (K,).
         """
-        return np.concatenate(self.whiten_by_trial(residuals, courses), axis=1)
+        return np.concatenate(self.whiten_by_trial(residuals, grid_points), axis=1)
 
     def whiten_by_trial(
         self,
         residuals: ByTrial,
-        courses: np.ndarray,
+        grid_points: np.ndarray,
     ) -> ByTrial:
         """Whiten residuals (C, 2 n) of each trial by its error model, (C, N_k)."""
         white = []
         for k, trial in enumerate(self.trials):
-            white.append(trial.error_model.whiten(residuals[k], courses[k]))
+            white.append(trial.error_model.whiten(residuals[k], grid_points[k]))
         return white
 
-    def log_likelihood_by_course(self, residuals: ByTrial) -> np.ndarray:
+    def log_likelihood_by_grid_point(self, residuals: ByTrial) -> np.ndarray:
         """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, W S).
 
-        It is that for all courses of the trial's discrepancy.
+        It is that for all grid points of the trial's discrepancy.
         """
         by_trial = []
         for trial, residual in zip(self.trials, residuals, strict=True):
             coefficients = trial.discrepancy.coefficients(residual)
-            by_trial.append(trial.discrepancy.log_likelihood_by_course(coefficients))
+            by_trial.append(
+                trial.discrepancy.log_likelihood_by_grid_point(coefficients)
+            )
         return np.stack(by_trial)
 
     def without_nuisance(
         self,
         residuals: ByTrial,
-        courses: np.ndarray,
+        grid_points: np.ndarray,
     ) -> ByTrial:
         """Subtract what the nuisance most likely explains of residuals (2 n,)."""
         rest = []
         for k, trial in enumerate(self.trials):
             discrepancy = trial.discrepancy
             coefficients = discrepancy.coefficients(residuals[k][None])[0]
-            explained = discrepancy.nuisance_mean(coefficients, courses[k])
+            explained = discrepancy.nuisance_mean(coefficients, grid_points[k])
             rest.append(residuals[k] - explained)
         return rest
 

@@ -57,7 +57,7 @@ class IndependentErrors:
     scale: float = 1.0
     nuisance: np.ndarray | None = None
 
-    def whiten(self, residual: np.ndarray, course: int = 0) -> np.ndarray:
+    def whiten(self, residual: np.ndarray, grid_point: int = 0) -> np.ndarray:
         """Whiten residuals over sigma (C, 2 n), whose scale is known."""
         scaled = residual / self.scale
         return scaled if self._low_rank is None else self._low_rank(scaled)

@@ -195,7 +195,7 @@ def linear_problem(background):
     error_model = SimpleNamespace(whiten=lambda rows, scale: rows)
     data = SimpleNamespace(trials=[SimpleNamespace(error_model=error_model)])
     fit = SimpleNamespace(
-        chi=np.array([0.5]), slopes=[slope], residuals=[residual], courses=[0]
+        chi=np.array([0.5]), slopes=[slope], residuals=[residual], grid_points=[0]
     )
     clock = SimpleNamespace(data=data, fit=fit, index=0)
     return clock_posterior(clock, [background], [slope], np.array([1e-6]))

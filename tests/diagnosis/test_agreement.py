@@ -21,8 +21,8 @@ def bayes_factor(estimates, amplitude, *, move=lambda chi: chi - 0.5, amplitudes
         exponents_from=lambda known: np.full(size, 0.5),
     )
     chi = 0.5 + np.array(amplitude)
-    fit = SimpleNamespace(hypothesis=hypothesis, chi=chi, courses=None)
-    white = SimpleNamespace(whiten=lambda rows, courses: rows[0])
+    fit = SimpleNamespace(hypothesis=hypothesis, chi=chi, grid_points=None)
+    white = SimpleNamespace(whiten=lambda rows, grid_points: rows[0])
     data = SimpleNamespace(
         residuals=lambda model, chi: [move(chi)],
         for_hypothesis=lambda hypothesis: white,

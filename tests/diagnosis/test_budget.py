@@ -19,7 +19,7 @@ def test_a_cause_that_explains_nothing_by_itself_has_zero_and_not_less(monkeypat
         names = tuple(cause.name for cause in causes)
         hypothesis = SimpleNamespace(causes=causes, without_cause=lambda cause: None)
         return SimpleNamespace(
-            hypothesis=hypothesis, residuals=names, courses=None, log_evidence=0.0
+            hypothesis=hypothesis, residuals=names, grid_points=None, log_evidence=0.0
         )
 
     data = SimpleNamespace(

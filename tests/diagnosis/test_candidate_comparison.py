@@ -26,7 +26,7 @@ class NamedFit:
     log_evidence: float
     hypothesis: SimpleNamespace | None = None
     chi: np.ndarray = field(default_factory=lambda: np.zeros(1))
-    courses: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
+    grid_points: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
     exponents: dict = field(default_factory=dict)
     log_likelihood_by_trial: np.ndarray = field(default_factory=lambda: np.zeros(1))
     log_evidence_error: float = 0.0
@@ -492,7 +492,7 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     monkeypatch.setattr(
         candidate_comparison, "rank_rivals", lambda parent, fits, criteria: fits
     )
-    parent = SimpleNamespace(log_evidence=0.0, courses=None)
+    parent = SimpleNamespace(log_evidence=0.0, grid_points=None)
     best = named_fit("clamp", 35.0)
     step = SelectionStep(None, parent, [], [best])
     wind = SimpleNamespace(name="wind")

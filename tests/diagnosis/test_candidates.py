@@ -115,7 +115,7 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     data = attach_discrepancy_model(trials, base, chi)
     parent = evaluate_fit(data, base, chi)
     (plane,) = propose_causes(data, parent, [effects_by_name()["contact"]], 0)
-    fit = fit_hypothesis(data, plane.hypothesis, plane.starts, parent.courses)
+    fit = fit_hypothesis(data, plane.hypothesis, plane.starts, parent.grid_points)
     true_fit = evaluate_fit(data, touching, touching.model.exponents_of_values(truth))
     true_gain = true_fit.log_evidence - parent.log_evidence
     assert true_gain > 50
@@ -147,7 +147,7 @@ def test_a_field_of_a_user_is_proposed_like_wind(arm, model, effects_folder):
     data = attach_discrepancy_model(trials, base, base.model.exponents_of_values(TRUTH))
     parent = evaluate_fit(data, base, base.model.exponents_of_values(TRUTH))
     (proposal,) = propose_causes(data, parent, [tether], 0)
-    fit = fit_hypothesis(data, proposal.hypothesis, proposal.starts, parent.courses)
+    fit = fit_hypothesis(data, proposal.hypothesis, proposal.starts, parent.grid_points)
     assert fit.log_evidence - parent.log_evidence > 50
     assert fit.values["tether.strength"] == pytest.approx(15.0, rel=0.1)
 

@@ -96,13 +96,13 @@ def test_likelihood_of_coefficients_is_that_of_a_dense_covariance(
     mapping = discrepancy.coefficients(np.eye(len(covariances[0])))
     residual = np.random.default_rng(1).standard_normal((2, len(mapping)))
     coefficients = discrepancy.coefficients(residual)
-    by_course = discrepancy.log_likelihood_by_course(coefficients)
+    by_grid_point = discrepancy.log_likelihood_by_grid_point(coefficients)
     for number in (0, 6, 12):
         dense = mapping.T @ covariances[number] @ mapping
         normal = multivariate_normal(np.zeros(len(dense)), dense)
         constant = len(dense) / 2 * np.log(2 * np.pi)
         expected = normal.logpdf(residual @ mapping) + constant
-        assert by_course[:, number] == pytest.approx(expected, rel=1e-6)
+        assert by_grid_point[:, number] == pytest.approx(expected, rel=1e-6)
 
 
 def test_whitened_coefficients_are_white(discrepancy, covariances):
@@ -173,7 +173,7 @@ def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
     assert not discrepancy.variance.any()
     diverged = np.full((1, 2 * len(trial.s)), DIVERGED_RESIDUAL)
     coefficients = discrepancy.coefficients(diverged)
-    assert np.isfinite(discrepancy.log_likelihood_by_course(coefficients)).all()
+    assert np.isfinite(discrepancy.log_likelihood_by_grid_point(coefficients)).all()
 
 
 @pytest.mark.parametrize(("shift", "is_accepted"), [(10.0, True), (0.1, False)])

@@ -43,8 +43,10 @@ def fit_trials(arm, strings):
 
 def refit_to_others(data, fit, left_out):
     others = [k for k in range(len(data.trials)) if k != left_out]
-    courses = fit.courses[others]
-    chi, _ = best_exponents(data.subset(others), fit.hypothesis, fit.chi[None], courses)
+    grid_points = fit.grid_points[others]
+    chi, _ = best_exponents(
+        data.subset(others), fit.hypothesis, fit.chi[None], grid_points
+    )
     return chi
 
 
@@ -64,7 +66,7 @@ def half_squares_of_others(data, fit, left_out, chi):
     likelihood = Likelihood(
         data.subset(others),
         fit.hypothesis.model,
-        fit.courses[others],
+        fit.grid_points[others],
         uniform_indices=fit.hypothesis.base_indices,
     )
     return 0.5 * np.sum(likelihood.residuals(chi[None]) ** 2)

@@ -106,7 +106,9 @@ def test_a_mark_that_is_off_is_seen_and_costs_little(prepare, hypothesis, true):
     off = moved_marks(prepare([MIDDLE, TIP]), distance_m)
     data = attach_discrepancy_model([off], hypothesis, true)
     fit = evaluate_fit(data, hypothesis, true)
-    explained = fit.residuals[0] - data.without_nuisance(fit.residuals, fit.courses)[0]
+    explained = (
+        fit.residuals[0] - data.without_nuisance(fit.residuals, fit.grid_points)[0]
+    )
     (trial,) = data.trials
     found_m = np.linalg.norm(trial.displacements_m(explained), axis=1)
     assert found_m[~trial.is_tip] == pytest.approx(distance_m, abs=5e-4)

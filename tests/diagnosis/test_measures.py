@@ -14,7 +14,7 @@ def fit(log_evidence, by_trial):
         log_evidence=log_evidence,
         log_likelihood_by_trial=np.array(by_trial),
         hypothesis="one",
-        courses=np.arange(len(by_trial)),
+        grid_points=np.arange(len(by_trial)),
         chi=np.array([log_evidence]),
     )
 
@@ -41,8 +41,8 @@ def test_both_fits_are_refitted_without_that_trial(monkeypatch):
     data = Trials()
     scales = []
 
-    def refit(rest, hypothesis, starts, courses):
-        scales.append(list(courses))
+    def refit(rest, hypothesis, starts, grid_points):
+        scales.append(list(grid_points))
         return SimpleNamespace(log_evidence=2 * starts[0, 0])
 
     monkeypatch.setattr(measures, "fit_hypothesis", refit)

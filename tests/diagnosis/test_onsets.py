@@ -11,7 +11,7 @@ from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     ONSET_SHARES,
-    split_course,
+    split_grid_point,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import fit_hypothesis
@@ -57,7 +57,7 @@ def test_fits_to_the_beginnings_find_the_string(fits):
     """They end where a fit from the true string ends, and others do not."""
     data, astray, fit = fits
     truth = fit.hypothesis.model.exponents_of_values(TRUTH)
-    best = fit_hypothesis(data, fit.hypothesis, truth[None], fit.courses)
+    best = fit_hypothesis(data, fit.hypothesis, truth[None], fit.grid_points)
     assert fit.log_evidence == pytest.approx(best.log_evidence, abs=1.0)
     assert astray.log_evidence < best.log_evidence - 50
     for name in ("bending_stiffness", "grasp_stiffness"):
@@ -67,7 +67,7 @@ def test_fits_to_the_beginnings_find_the_string(fits):
 def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
     data, _, fit = fits
     true_share = ONSET_S / SECONDS
-    for course in fit.courses:
-        onset, scale_index = split_course(course)
+    for grid_point in fit.grid_points:
+        onset, scale_index = split_grid_point(grid_point)
         assert 0 < ONSET_SHARES[onset] <= true_share
         assert DISCREPANCY_SCALES_M[scale_index] > 2e-3

@@ -50,7 +50,7 @@ def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
         hypothesis=None,
         residuals=residuals,
         slopes=slopes,
-        courses=sizes,
+        grid_points=sizes,
         chi=np.zeros(2),
     )
     scale = np.repeat(sizes / np.sqrt(weights), 20)
@@ -346,7 +346,7 @@ def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
         return SimpleNamespace(
             hypothesis=hypothesis,
             exponents={},
-            courses=None,
+            grid_points=None,
             log_evidence=evidence,
         )
 

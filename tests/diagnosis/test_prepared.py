@@ -337,7 +337,9 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
         chi = base.model.exponents_of_values(TRUTH)
         bending = limited.names.index("bending_stiffness")
         chi[bending] = min(chi[bending], 1.0)
-        fit = fit_hypothesis(prepared.data, base, chi[None], prepared.base_fit.courses)
+        fit = fit_hypothesis(
+            prepared.data, base, chi[None], prepared.base_fit.grid_points
+        )
         wider = widen_ranges_with_causes(prepared.data, fit, CRITERIA)
         if expected is None:
             assert wider is None

@@ -38,7 +38,7 @@ def fit_with(*causes):
         hypothesis=hypothesis,
         log_evidence=100.0 * len(causes),
         exponents={},
-        courses=None,
+        grid_points=None,
         chi=None,
         width=None,
     )
@@ -363,7 +363,7 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
     (stiffness,) = [p for p in base.parameters if p.name == "bending_stiffness"]
     wider = base.with_ranges(replace(stiffness, high=30 * stiffness.high))
 
-    def fit(data, hypothesis, starts, courses):
+    def fit(data, hypothesis, starts, grid_points):
         started.append((hypothesis, starts[0]))
 
     started = []
@@ -371,7 +371,7 @@ def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monke
     monkeypatch.setattr(selection_state, "add_cause", lambda *given: None)
     chi = np.linspace(0.2, 0.8, len(found.parameters))
     before = Fit(found, chi, (), (), None, None, np.zeros(0), 0.0)
-    base_fit = SimpleNamespace(hypothesis=Hypothesis(wider), courses=None)
+    base_fit = SimpleNamespace(hypothesis=Hypothesis(wider), grid_points=None)
     prepared = SimpleNamespace(base_fit=base_fit, data=None)
     state = SelectionState(None, before)
     selection_state.with_causes_found_before(prepared, state, CRITERIA, 0, 2)
@@ -416,7 +416,7 @@ def test_other_values_of_a_cause_are_taken_only_with_their_own_numerical_error(
     """Where they were found the data had the numerical error of others."""
     hypothesis = SimpleNamespace(cause_names=("wind",))
     first, found, corrected = (
-        SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis, courses=None)
+        SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis, grid_points=None)
         for evidence in (0.0, 5.0, corrected_evidence)
     )
     prepared = SimpleNamespace(data=None)

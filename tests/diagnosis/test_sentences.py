@@ -40,11 +40,11 @@ def test_an_amplitude_at_an_end_of_its_range_is_no_finding(name, chi, is_inside)
 
 
 PLACE = "most of it in trial b (100 %), largest at 0.20 s, 0.30 m along the string."
-LATE = 3 * len(DISCREPANCY_SCALES_M)  # a course that begins in the middle
+LATE = 3 * len(DISCREPANCY_SCALES_M)  # a grid point that begins in the middle
 
 
 @pytest.mark.parametrize(
-    ("budget_m", "kind", "course", "sentence"),
+    ("budget_m", "kind", "grid_point", "sentence"),
     [
         (
             (0.0, 0.0, 0.03),
@@ -68,7 +68,7 @@ LATE = 3 * len(DISCREPANCY_SCALES_M)  # a course that begins in the middle
     ],
 )
 def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
-    monkeypatch, budget_m, kind, course, sentence
+    monkeypatch, budget_m, kind, grid_point, sentence
 ):
     """The budget's share may be 0 where numerical error could explain the misfit."""
     trials = []
@@ -93,7 +93,7 @@ def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
     )
     found = document.unexplained_document(
         data,
-        SimpleNamespace(courses=[course, course]),
+        SimpleNamespace(grid_points=[grid_point, grid_point]),
         judgement,
         SimpleNamespace(unexplained_m=budget_m),
         SimpleNamespace(tip_tolerance_m=1e-3),

@@ -82,14 +82,14 @@ def displaced(early, late):
     return np.stack([x, np.zeros_like(x)], axis=1).ravel()
 
 
-def find_shares(monkeypatch, cause, misfit, left, course):
+def find_shares(monkeypatch, cause, misfit, left, grid_point):
     """Find shares where a cause moves the tip by so much, early and late.
 
     misfit, left: what is off without the cause and with it.
     """
     data = SimpleNamespace(trials=[Trial()])
     without = SimpleNamespace(residuals=[displaced(*cause)])
-    fit = SimpleNamespace(residuals=[displaced(0, 0)], courses=[course])
+    fit = SimpleNamespace(residuals=[displaced(0, 0)], grid_points=[grid_point])
     discrepancies = {id(without): displaced(*misfit), id(fit): displaced(*left)}
     monkeypatch.setattr(
         stand_ins, "mean_discrepancy", lambda data, fit: [discrepancies[id(fit)]]
@@ -98,7 +98,7 @@ def find_shares(monkeypatch, cause, misfit, left, course):
 
 
 @pytest.mark.parametrize(
-    ("cause", "left", "course", "expected"),
+    ("cause", "left", "grid_point", "expected"),
     [
         ((4, 40), (0, 20), 0, [1 - 200 / 808]),  # over the whole trial
         ((4, 40), (1, 20), FROM_MIDDLE, [1 - 1 / 16]),  # while the model holds
@@ -107,10 +107,10 @@ def find_shares(monkeypatch, cause, misfit, left, course):
     ],
 )
 def test_shares_are_counted_where_the_model_holds(
-    monkeypatch, cause, left, course, expected
+    monkeypatch, cause, left, grid_point, expected
 ):
     """A cause moves the tip by 4 mm before the middle, and by 40 mm after it."""
-    found = find_shares(monkeypatch, cause, cause, left, course)
+    found = find_shares(monkeypatch, cause, cause, left, grid_point)
     assert found == pytest.approx(expected, rel=1e-3)
 
 

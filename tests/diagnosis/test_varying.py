@@ -49,7 +49,7 @@ def test_curvatures_that_vary_are_estimated_with_their_mean(arm, hypothesis):
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = simulate_curved_strings(arm, hypothesis, offsets)
     assert data.between_trial_tip_rms("rest_curvature") > 0
-    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.courses)
+    fit = fit_hypothesis(data, hypothesis, plain.chi[None], plain.grid_points)
     assert fit.log_likelihood_by_trial.sum() > plain.log_likelihood_by_trial.sum() + 20
     tolerance = 2 * offsets.std() / np.sqrt(TRIALS)
     mean = MEAN_CURVATURE + offsets.mean()
@@ -60,7 +60,7 @@ def test_curvatures_that_vary_are_estimated_with_their_mean(arm, hypothesis):
         data,
         hypothesis.without_cause(effects_by_name()["rest_curvature"]),
         plain.chi[None, hypothesis.base_indices],
-        plain.courses,
+        plain.grid_points,
     )
     assert fit.log_evidence > without.log_evidence + 20
 

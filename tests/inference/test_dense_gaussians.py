@@ -16,15 +16,15 @@ from stringcast.stages.inference.discrepancy import (
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     ONSET_SHARES,
-    log_course_prior,
-    most_likely_course,
+    log_grid_prior,
+    most_likely_grid_point,
     sizes_by_onset,
 )
 
 FRAMES, POINTS, LENGTH = 9, 6, 0.3
 SCALES = len(DISCREPANCY_SCALES_M)
 SCALE_INDEX = int(np.searchsorted(DISCREPANCY_SCALES_M, 2e-3))
-LATE = 3 * SCALES + SCALE_INDEX  # a course that begins in the middle
+LATE = 3 * SCALES + SCALE_INDEX  # a grid point that begins in the middle
 GROWTH = np.linspace(0.2, 1.5, FRAMES)
 
 
@@ -87,9 +87,9 @@ def test_white_noise_is_white_in_the_coefficients(errors):
     assert coefficients.T @ coefficients == pytest.approx(np.eye(count), abs=1e-4)
 
 
-def dense_discrepancy(film, errors, course):
-    """Compute the covariance of a course in coefficients from that of points."""
-    onset, scale_index = divmod(course, SCALES)
+def dense_discrepancy(film, errors, grid_point):
+    """Compute the covariance of a grid point in coefficients from that of points."""
+    onset, scale_index = divmod(grid_point, SCALES)
     root = list(_kernel_roots(film, sizes_by_onset(film.times, GROWTH)))[onset]
     at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
     at_points[::2, : root.shape[1]] = root  # x
@@ -98,54 +98,54 @@ def dense_discrepancy(film, errors, course):
     return DISCREPANCY_SCALES_M[scale_index] ** 2 * columns @ columns.T
 
 
-def test_the_likelihood_of_every_course_is_that_of_the_dense_covariance(
+def test_the_likelihood_of_every_grid_point_is_that_of_the_dense_covariance(
     film, errors, shapes
 ):
     residuals = 3.0 * np.random.default_rng(2).standard_normal((4, len(shapes)))
     coefficients = errors.coefficients(residuals)
-    found = errors.log_likelihood_by_course(coefficients)
+    found = errors.log_likelihood_by_grid_point(coefficients)
     assert found.shape == (4, len(ONSET_SHARES) * SCALES)
     columns = errors.coefficients(shapes.T).T
     count = coefficients.shape[1]
     for onset in range(len(ONSET_SHARES)):
         for scale_index in (0, 4, 9, 14):
-            course = onset * SCALES + scale_index
-            smooth = dense_discrepancy(film, errors, course)
+            grid_point = onset * SCALES + scale_index
+            smooth = dense_discrepancy(film, errors, grid_point)
             covariance = np.eye(count) + smooth + columns @ columns.T
             dense = multivariate_normal(cov=covariance).logpdf(coefficients)
             expected = dense + 0.5 * count * np.log(2 * np.pi)
-            assert found[:, course] == pytest.approx(expected, rel=1e-6)
-            white = errors.whiten(residuals, course)
+            assert found[:, grid_point] == pytest.approx(expected, rel=1e-6)
+            white = errors.whiten(residuals, grid_point)
             pull = np.linalg.solve(covariance, coefficients.T)
             square = np.sum(coefficients.T * pull, axis=0)
             assert np.sum(white**2, axis=1) == pytest.approx(square)
 
 
-@pytest.mark.parametrize("course", [SCALE_INDEX, LATE])
+@pytest.mark.parametrize("grid_point", [SCALE_INDEX, LATE])
 def test_residuals_are_split_into_discrepancy_nuisance_and_noise(
-    film, errors, shapes, course
+    film, errors, shapes, grid_point
 ):
     residual = 3.0 * np.random.default_rng(2).standard_normal(len(shapes))
     coefficients = errors.coefficients(residual[None])[0]
     columns = errors.coefficients(shapes.T).T
-    smooth = dense_discrepancy(film, errors, course)
+    smooth = dense_discrepancy(film, errors, grid_point)
     covariance = np.eye(len(columns)) + smooth + columns @ columns.T
     pull = np.linalg.solve(covariance, coefficients)
-    mean = errors.posterior_mean(coefficients, course)
+    mean = errors.posterior_mean(coefficients, grid_point)
     found = errors.coefficients(mean[None])[0]
     assert found == pytest.approx(smooth @ pull, abs=1e-4)
-    explained = errors.nuisance_mean(coefficients, course)
+    explained = errors.nuisance_mean(coefficients, grid_point)
     assert explained == pytest.approx(shapes @ (columns.T @ pull))
 
 
-@pytest.mark.parametrize("course", [SCALE_INDEX, LATE])
-def test_discrepancies_scatter_by_what_noise_hides(film, errors, course):
+@pytest.mark.parametrize("grid_point", [SCALE_INDEX, LATE])
+def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
     """Their covariance in coefficients is C - C (1 + C)^-1 C."""
-    smooth = dense_discrepancy(film, errors, course)
+    smooth = dense_discrepancy(film, errors, grid_point)
     count = len(smooth)
     rng = np.random.default_rng(3)
     everywhere = np.ones(FRAMES * POINTS, dtype=bool)
-    drawn = errors.sample_posterior(np.zeros(count), course, 4000, rng, everywhere)
+    drawn = errors.sample_posterior(np.zeros(count), grid_point, 4000, rng, everywhere)
     left = smooth - smooth @ np.linalg.solve(np.eye(count) + smooth, smooth)
     to_points = film_splines(errors) @ errors.to_splines
     half = count // 2
@@ -165,13 +165,13 @@ def test_when_a_discrepancy_begins_is_found(film, onset):
     amplitudes = rng.standard_normal((20, root.shape[1], 2))
     residuals = (0.02 * root @ amplitudes).reshape(20, -1)
     residuals += rng.standard_normal(residuals.shape)
-    likelihood = errors.log_likelihood_by_course(errors.coefficients(residuals))
-    found = most_likely_course(likelihood) // SCALES
+    likelihood = errors.log_likelihood_by_grid_point(errors.coefficients(residuals))
+    found = most_likely_grid_point(likelihood) // SCALES
     assert np.median(found) == onset
 
 
 def test_every_onset_is_as_likely_before_the_data_speak():
-    by_onset = np.exp(log_course_prior()).reshape(len(ONSET_SHARES), SCALES)
+    by_onset = np.exp(log_grid_prior()).reshape(len(ONSET_SHARES), SCALES)
     assert by_onset.sum(axis=1) == pytest.approx(1 / len(ONSET_SHARES))
 
 

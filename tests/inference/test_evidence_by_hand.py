@@ -17,7 +17,7 @@ from stringcast.stages.model.parametrised import Parametrised
 from stringcast.stages.model.string import String
 
 TipMass, CameraRotation = find_effects(["tip_mass", "camera_rotation"])
-COURSES = len(discrepancy_grid.log_course_prior())
+COURSES = len(discrepancy_grid.log_grid_prior())
 UNIT = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 
@@ -25,7 +25,7 @@ FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 class LinearData:
     """Two trials whose residuals are linear in three exponents.
 
-    One course of the discrepancy is likely in each, and numbers are its deviations.
+    One grid point of the discrepancy is likely in each, and numbers are its deviations.
     """
 
     likely = np.array([2, 5])
@@ -43,11 +43,11 @@ class LinearData:
         pairs = zip(self.slopes, self.offsets, strict=True)
         return [chi @ slope + offset for slope, offset in pairs]
 
-    def whiten(self, residuals, courses):
-        pairs = zip(residuals, courses, strict=True)
+    def whiten(self, residuals, grid_points):
+        pairs = zip(residuals, grid_points, strict=True)
         return np.concatenate([rows / index for rows, index in pairs], axis=1)
 
-    def log_likelihood_by_course(self, residuals):
+    def log_likelihood_by_grid_point(self, residuals):
         found = np.full((2, len(residuals[0]), COURSES), -1e6)
         for k, index in enumerate(self.likely):
             found[k, :, index] = -0.5 * np.sum((residuals[k] / index) ** 2, axis=1)
@@ -76,8 +76,8 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
     data = LinearData()
     chi = np.array(chi)
     fit = laplace.evaluate_fit(data, hypothesis_of(FAR), chi)
-    assert list(fit.courses) == [2, 5]
-    prior = discrepancy_grid.log_course_prior()
+    assert list(fit.grid_points) == [2, 5]
+    prior = discrepancy_grid.log_grid_prior()
     by_trial = []
     curvature = np.diag([12.0, 1e-9, 12.0])
     squares = []
@@ -137,7 +137,7 @@ def test_the_evidence_is_wrong_by_what_the_best_exponents_would_gain():
 class ScaledData(LinearData):
     """The same trials, whose discrepancies are normal of any scale from 1 on."""
 
-    def log_likelihood_by_course(self, residuals):
+    def log_likelihood_by_grid_point(self, residuals):
         scales = 1.0 + np.arange(COURSES)
         found = []
         for rows in residuals:
@@ -145,21 +145,21 @@ class ScaledData(LinearData):
             found.append(-0.5 * squares / scales**2 - rows.shape[1] * np.log(scales))
         return np.stack(found)
 
-    def whiten_by_trial(self, residuals, courses):
-        pairs = zip(residuals, courses, strict=True)
+    def whiten_by_trial(self, residuals, grid_points):
+        pairs = zip(residuals, grid_points, strict=True)
         return [rows / (1.0 + index) for rows, index in pairs]
 
 
 @pytest.mark.parametrize("size", [0.2, 3.0, 20.0])
-def test_a_fit_maximises_the_likelihood_of_exponents_and_courses(size):
-    """No other courses and exponents are likelier by more than 0.01."""
+def test_a_fit_maximises_the_likelihood_of_exponents_and_grid_points(size):
+    """No other grid points and exponents are likelier by more than 0.01."""
     data = ScaledData()
     data.offsets = [size * offset for offset in data.offsets]
     hypothesis = hypothesis_of(UNIT)
     hypothesis.model = SimpleNamespace(parameters=hypothesis.parameters)
 
     def negative_log_likelihood(chi):
-        by_scale = data.log_likelihood_by_course(data.residuals(None, chi[None]))
+        by_scale = data.log_likelihood_by_grid_point(data.residuals(None, chi[None]))
         prior = 0.5 * 12.0 * np.sum((chi[[0, 2]] - 0.5) ** 2)
         return prior - by_scale[:, 0].max(axis=1).sum()
 
@@ -312,8 +312,8 @@ def test_a_trial_that_diverged_in_part_counts_as_diverged():
     rows = np.array([[1.0, 2.0], [3.0, DIVERGED_RESIDUAL]])
     asked = []
 
-    def whiten(residuals, courses):
-        asked.append(list(courses))
+    def whiten(residuals, grid_points):
+        asked.append(list(grid_points))
         return [residual / 10 for residual in residuals]
 
     data = SimpleNamespace(

@@ -226,13 +226,13 @@ def test_discrepancies_drawn_at_some_points_are_those_drawn_at_all(trial):
     one = Discrepancy.for_trial(trial, np.ones(FRAMES), no_shapes)
     wave = 30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3
     coefficients = one.coefficients(np.repeat(wave, 2)[None])[0]
-    course = int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1))
+    grid_point = int(np.searchsorted(DISCREPANCY_SCALES_M, 0.1))
     drawn = {}
     for name, chosen in (("all", np.ones(len(trial.s), bool)), ("tip", trial.is_tip)):
         rng = np.random.default_rng(0)
-        drawn[name] = one.sample_posterior(coefficients, course, 50, rng, chosen)
+        drawn[name] = one.sample_posterior(coefficients, grid_point, 50, rng, chosen)
     at_tip = np.repeat(trial.is_tip, 2)
     np.testing.assert_array_equal(drawn["all"][:, at_tip], drawn["tip"])
-    mean = one.posterior_mean(coefficients, course)[at_tip]
+    mean = one.posterior_mean(coefficients, grid_point)[at_tip]
     assert drawn["tip"].mean(axis=0) == pytest.approx(mean, abs=1.0)
     assert np.ptp(drawn["tip"], axis=0).min() > 0

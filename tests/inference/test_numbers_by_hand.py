@@ -100,7 +100,7 @@ def test_the_likeliest_discrepancy_follows_smooth_misfit_in_each_trial():
     hypothesis = SimpleNamespace(cause_names=())
     wide = int(np.searchsorted(discrepancy_grid.DISCREPANCY_SCALES_M, 0.1))
     fit = SimpleNamespace(
-        hypothesis=hypothesis, residuals=residuals, courses=[wide, wide]
+        hypothesis=hypothesis, residuals=residuals, grid_points=[wide, wide]
     )
     for mean, residual in zip(
         laplace.mean_discrepancy(data, fit), residuals, strict=True
@@ -110,7 +110,7 @@ def test_the_likeliest_discrepancy_follows_smooth_misfit_in_each_trial():
     assert sizes.shape == (2, laplace.DISCREPANCY_DRAWS)
     expected = data.tip_rms_by_trial(residuals)
     assert sizes.mean(axis=1) == pytest.approx(expected, rel=0.05)
-    fit.courses = [0, wide]
+    fit.grid_points = [0, wide]
     assert not laplace.mean_discrepancy(data, fit)[0].any()
 
 
@@ -131,15 +131,15 @@ def test_scales_of_a_discrepancy_are_half_cauchy():
     assert prior[2] == pytest.approx(inside)
 
 
-def test_the_course_is_integrated_out_and_the_most_probable_one_is_chosen():
-    prior = discrepancy_grid.log_course_prior()
+def test_the_grid_point_is_integrated_out_and_the_most_probable_one_is_chosen():
+    prior = discrepancy_grid.log_grid_prior()
     same = np.full((2, len(prior)), -7.0)
     marginal = discrepancy_grid.marginal_log_likelihood(same)
     assert marginal == pytest.approx([-7.0, -7.0])
     likeliest = int(np.argmax(prior))
-    assert list(discrepancy_grid.most_likely_course(same)) == [likeliest, likeliest]
+    assert list(discrepancy_grid.most_likely_grid_point(same)) == [likeliest, likeliest]
     same[1, 3] += 20.0
-    assert list(discrepancy_grid.most_likely_course(same)) == [likeliest, 3]
+    assert list(discrepancy_grid.most_likely_grid_point(same)) == [likeliest, 3]
     assert discrepancy_grid.marginal_log_likelihood(same)[1] == pytest.approx(
         np.logaddexp(-7.0, 13.0 + prior[3]), abs=1e-3
     )
@@ -148,10 +148,10 @@ def test_the_course_is_integrated_out_and_the_most_probable_one_is_chosen():
 def test_without_a_discrepancy_the_first_onset_is_chosen():
     """Rounding makes one of the others likelier, and none of them begins."""
     onsets = len(discrepancy_grid.ONSET_SHARES)
-    by_course = np.full((onsets, len(discrepancy_grid.log_course_prior())), -50.0)
-    no_discrepancy = by_course.reshape(onsets, onsets, -1)[:, :, 0]
+    by_grid_point = np.full((onsets, len(discrepancy_grid.log_grid_prior())), -50.0)
+    no_discrepancy = by_grid_point.reshape(onsets, onsets, -1)[:, :, 0]
     no_discrepancy[:] = 1e-12 * np.eye(onsets)
-    assert not discrepancy_grid.most_likely_course(by_course).any()
+    assert not discrepancy_grid.most_likely_grid_point(by_grid_point).any()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from stringcast.data.schema import DataError
 from stringcast.stages.inference import batch, mesh, prepared_trial, search, trial_data
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.discrepancy import Discrepancy
-from stringcast.stages.inference.discrepancy_grid import log_course_prior
+from stringcast.stages.inference.discrepancy_grid import log_grid_prior
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.noise import WHITE_NOISE
@@ -385,16 +385,16 @@ def test_trials_have_their_own_likelihood_and_nuisance():
         trials.append(film)
     data = TrialData(tuple(trials))
     residuals = [rng.standard_normal((3, 14 * frames)) for frames in (6, 8)]
-    found = data.log_likelihood_by_course(residuals)
-    assert found.shape == (2, 3, len(log_course_prior()))
+    found = data.log_likelihood_by_grid_point(residuals)
+    assert found.shape == (2, 3, len(log_grid_prior()))
     single = [rows[0] for rows in residuals]
-    courses = np.array([4, 9])
-    rest = data.without_nuisance(single, courses)
+    grid_points = np.array([4, 9])
+    rest = data.without_nuisance(single, grid_points)
     for k, trial in enumerate(trials):
         coefficients = trial.discrepancy.coefficients(residuals[k])
-        expected = trial.discrepancy.log_likelihood_by_course(coefficients)
+        expected = trial.discrepancy.log_likelihood_by_grid_point(coefficients)
         assert found[k] == pytest.approx(expected)
-        explained = trial.discrepancy.nuisance_mean(coefficients[0], courses[k])
+        explained = trial.discrepancy.nuisance_mean(coefficients[0], grid_points[k])
         assert rest[k] == pytest.approx(single[k] - explained)
 
 
