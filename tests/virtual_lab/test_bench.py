@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from stringcast.data.artifacts import JOINTS, Trial
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
@@ -98,6 +99,26 @@ def test_a_yielding_string_is_simulated_while_it_is_compressed(arm, camera):
     model = replace(bench.model, string=implicit)
     expected = model.simulate_string(joints, bench.values, t).points[0]
     np.testing.assert_allclose(points, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["C", "D"])
+def test_the_mesh_of_a_soft_string_moves_it_by_less_than_a_film_shows(
+    arm, camera, name
+):
+    """A real string has no mesh. Half as many points move string D by 0.6 mm."""
+    from conftest import specimen
+
+    t = np.arange(0, 1.0, 1e-3)
+    start_rad = (0.6, -0.4, -0.3)
+    angles = start_rad + 0.15 * np.sin(np.outer(t, (5, 6, 7))) ** 2
+    bench = VirtualBench(arm, camera, specimen(name), 0, performed_motion=(t, angles))
+    points = bench.specimen.points
+    tips = []
+    for count in (points, 3 * points // 2):
+        string = replace(bench.specimen, points=count)
+        tips.append(replace(bench, specimen=string).string_at(t[::5])[:, -1])
+    apart = np.linalg.norm(tips[0] - tips[1], axis=-1)
+    assert np.sqrt(np.mean(apart**2)) < 0.2e-3
 
 
 def test_execute_films_rest_around_the_movement(filmed):

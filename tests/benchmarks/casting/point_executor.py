@@ -1,7 +1,7 @@
 """An executor that casts on the virtual lab and measures points without filming.
 
-This takes less time than filming. The lab's string differs from the model's (40 points,
-another integrator), or a reference simulator moves it (`worlds.py`). Its arm has a velocity loop and repeats itself only approximately.
+This takes less time than filming. The lab's string differs from the model's (more
+points, another integrator), or a reference simulator moves it (`worlds.py`). Its arm has a velocity loop and repeats itself only approximately.
 Only the camera's picture is left out: points have the noise of extraction.
 """
 
