@@ -22,6 +22,7 @@ from stringcast.stages.estimate.matching import (
     matching_rate,
     matching_targets,
 )
+from stringcast.stages.estimate.mesh_error import subtract_uncertain_error
 from stringcast.stages.estimate.posterior import sample_posterior, share_of_blocks
 from stringcast.stages.estimate.result import (
     Candidates,
@@ -119,8 +120,11 @@ def estimate(
     likelihood, best = refine_at_mesh_limit(on_mesh, best)
     is_at_limit = likelihood is not on_mesh
 
+    compared = likelihood.data.trials
+    if is_at_limit:
+        compared = tuple(subtract_uncertain_error(likelihood, best))
     mesh_errors = []
-    for number, trial in enumerate(likelihood.data.trials):
+    for number, trial in enumerate(compared):
         mesh_errors.append(trial.points - on_mesh.data.trials[number].points)
         targets[number] = replace(targets[number], trial=trial)
     tried = np.concatenate([tried, best[None]])
