@@ -34,9 +34,14 @@ from stringcast.pipeline.settings.composition import conf_folders
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.effects.dahl_friction import DahlFriction
+from stringcast.stages.model.effects.grasp_play import GraspPlay
+from stringcast.stages.model.effects.gravity import Gravity
+from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
+from stringcast.stages.model.effects.standard_linear_solid import StandardLinearSolid
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
+from stringcast.stages.model.string import PAPER_EFFECTS, String
 from stringcast.stages.plugins import PLUGINS_VARIABLE
 from stringcast.stages.workers import use_workers
 from tests.benchmarks.simulators import draw
@@ -57,6 +62,12 @@ TRUTH = {
     "grasp_stiffness": 2.0,
     "grasp_damping": 5e-3,
 }
+MEMORY_EFFECTS = (MaxwellSlip, DahlFriction, StandardLinearSolid, GraspPlay)
+# Without gravity the set-up compiles no loop. Tests of such strings share this one.
+WEIGHTLESS_WITH_MEMORY = (
+    *(effect for effect in PAPER_EFFECTS if effect is not Gravity),
+    *MEMORY_EFFECTS,
+)
 
 
 # Files that take longest come first, so that parallel workers end together. Files that

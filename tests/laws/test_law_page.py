@@ -24,7 +24,8 @@ def test_the_law_of_the_page_runs_and_is_absent_at_its_start(effects_folder):
     effect = effects_by_name()["side_pull"]
 
     plain = String(0.3)
-    pulled = replace(plain, effects=(*PAPER_EFFECTS, effect))
+    # without the last of the paper's forces, and so in a small loop, compiled quickly
+    pulled = replace(plain, effects=(*PAPER_EFFECTS[:-1], effect))
     poses = np.zeros((1, 41, 3))
     poses[..., 1:] = 1.0, -np.pi / 2
     hand = HandMotion(0.0, 0.005, poses, np.zeros_like(poses))
@@ -33,5 +34,5 @@ def test_the_law_of_the_page_runs_and_is_absent_at_its_start(effects_folder):
     def tip(string: String, named: dict[str, float]) -> np.ndarray:
         return simulate(string, hand, string.values(named), times).tip
 
-    np.testing.assert_array_equal(tip(pulled, {}), tip(plain, {}))
+    np.testing.assert_array_equal(tip(pulled, {}), tip(plain, {"grasp_damping": 0.0}))
     assert np.all(tip(pulled, {"side_pull.strength": 2.0})[..., 0] > 0.01)

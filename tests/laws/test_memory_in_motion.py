@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import MEMORY_EFFECTS, WEIGHTLESS_WITH_MEMORY
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
@@ -26,18 +27,24 @@ from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 LENGTH = 0.3
 FORCES = (AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
-MEMORY = ("maxwell_slip", "dahl_friction", "standard_linear_solid", "grasp_play")
-LAWS = tuple(effects_by_name()[name] for name in MEMORY)
+MEMORY = tuple(effect.name for effect in MEMORY_EFFECTS)
 FIRM = {
     "axial_stiffness": 2e4,
     "axial_damping": 2.0,
     "bending_damping": 0.0,
     "grasp_stiffness": 1e4,
+    "grasp_damping": 0.0,
+    "linear_drag": 0.0,
+    "quadratic_drag": 0.0,
 }
 # One hinge that moves: two segments, of which the first is held firmly. Its end has the
 # mass of a segment.
 HINGE = String(
-    LENGTH, 3, (*FORCES, *LAWS), integrator=ImplicitLeapfrog(), largest_step=2e-4
+    LENGTH,
+    3,
+    WEIGHTLESS_WITH_MEMORY,
+    integrator=ImplicitLeapfrog(),
+    largest_step=2e-4,
 )
 SEGMENT = LENGTH / 2
 STIFFNESS = 0.05  # [m4/s2]
@@ -165,7 +172,7 @@ def test_half_the_step_is_half_as_far_off_and_a_tenth_a_tenth(name, integrator, 
 ROD = String(
     LENGTH,
     4,
-    (*PAPER_EFFECTS, *LAWS),
+    (*PAPER_EFFECTS, *MEMORY_EFFECTS),
     integrator=ImplicitLeapfrog(),
     largest_step=2e-5,
 )

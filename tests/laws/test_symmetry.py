@@ -3,9 +3,8 @@
 import numba
 import numpy as np
 import pytest
-from conftest import TRUTH, threads, waving_pose
+from conftest import TRUTH, WEIGHTLESS_WITH_MEMORY, threads, waving_pose
 
-from stringcast.stages.model.effects.gravity import Gravity
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.engine import batching
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
@@ -17,12 +16,13 @@ from stringcast.stages.model.string import PAPER_EFFECTS, String
 T = np.arange(0, 0.4, 0.005)
 POSE = waving_pose(T, 0.1, 0.3)
 NAMED = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
-WEIGHTLESS = tuple(effect for effect in PAPER_EFFECTS if effect is not Gravity)
 AIRLESS = {"linear_drag": 0.0, "quadratic_drag": 0.0}
+STRING = String(0.3)
+# its memory is absent by its values
+WEIGHTLESS = String(0.3, effects=WEIGHTLESS_WITH_MEMORY, integrator=ImplicitLeapfrog())
 
 
-def simulate_hand(pose: np.ndarray, effects=PAPER_EFFECTS) -> np.ndarray:
-    string = String(0.3, effects=effects)
+def simulate_hand(pose: np.ndarray, string: String = STRING) -> np.ndarray:
     return simulate(
         string, resample_hand_motion(T, pose), string.values(NAMED)[None], T
     ).points[0]
@@ -59,7 +59,7 @@ def test_inner_forces_do_not_push_the_string_as_a_whole():
     Weightless and airless, a string is drawn along behind the hand. It ends straight
     and follows at the hand's speed.
     """
-    string = String(0.3, effects=WEIGHTLESS)
+    string = WEIGHTLESS
     t = np.arange(0, 0.8, 0.005)
     x = np.cumsum(np.clip((t - 0.05) / 0.1, 0, 1)) * 0.005
     pose = np.stack([x, 0 * t, 0 * t + np.pi], axis=-1)
@@ -84,7 +84,7 @@ def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
     Weightless and airless, it is spun about the grasp at a constant rate. It points
     where the grasp does.
     """
-    string = String(0.3, effects=WEIGHTLESS)
+    string = WEIGHTLESS
     t = np.arange(0, 1.5, 0.005)
     theta = np.cumsum(np.clip(t / 0.2, 0, 1)) * 0.005 * 8
     pose = np.stack([0 * t, 0 * t, theta], axis=-1)
