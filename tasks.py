@@ -172,6 +172,8 @@ def run_tests(arguments: list[str]) -> int:
     that wait for real clocks run afterwards. A signal gives a negative status, and
     pytest ends with 5 if it found no test.
     """
+    # Tests start many processes, each of which would compile all modules anew.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     statuses = [run_module(*check) for check in STYLE_CHECKS]
     if arguments not in ([], ["--all"]):
         statuses += [run_module("mypy"), run_module("pytest", *arguments)]

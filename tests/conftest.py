@@ -4,7 +4,7 @@ import io
 import os
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache
@@ -285,32 +285,55 @@ def called(monkeypatch, capsys):
 
     A separate process takes 2 s to start.
     """
-    from stringcast.pipeline import __main__ as shell
-    from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
 
     def call(*words):
         capsys.readouterr()
-        monkeypatch.setattr(sys, "argv", ["pipeline", *map(str, words)])
-        # as Hydra expects when the module is run
-        monkeypatch.setattr(shell.main.__wrapped__, "__module__", "__main__")
-        # set here so that monkeypatch restores it
-        monkeypatch.setenv("HYDRA_FULL_ERROR", "0")
-        # set here, too: a program that was called keeps its own until it ends
-        monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
-        # reset, because only a sweep sets it
-        monkeypatch.setattr(LazyLauncher, "current", None)
-        monkeypatch.chdir(ROOT)
-        try:
-            status = shell.cli()
-        except SystemExit as stopped:
-            status = stopped.code
-        # the text of an exit, which Python would print
-        said, words = capsys.readouterr(), status if isinstance(status, str) else ""
-        return subprocess.CompletedProcess(
-            sys.argv, 1 if words else status or 0, said.out, said.err + words
-        )
+        status = run_here(monkeypatch, *words)
+        said = capsys.readouterr()
+        return completed(status, said.out, said.err)
 
     return call
+
+
+def call_command(*words):
+    """Run the command in this process, as `called`, for fixtures of a whole file."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        status = run_here(patch, *words)
+    return completed(status, out.getvalue(), err.getvalue())
+
+
+def run_here(patch, *words):
+    """Run the command in this process, and return its status or its last words."""
+    from stringcast.pipeline import __main__ as shell
+    from stringcast.pipeline.sweep.lazy_launcher import LazyLauncher
+
+    patch.setattr(sys, "argv", ["pipeline", *map(str, words)])
+    # as Hydra expects when the module is run
+    patch.setattr(shell.main.__wrapped__, "__module__", "__main__")
+    # set here so that monkeypatch restores it
+    patch.setenv("HYDRA_FULL_ERROR", "0")
+    # set here, too: a program that was called keeps its own until it ends
+    patch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    # reset, because only a sweep sets it
+    patch.setattr(LazyLauncher, "current", None)
+    patch.chdir(ROOT)
+    try:
+        return shell.cli()
+    except SystemExit as stopped:
+        return stopped.code
+
+
+def completed(status, out, err):
+    """Return a command's status and what it printed, as of a process that ended."""
+    # the text of an exit, which Python would print
+    words = status if isinstance(status, str) else ""
+    code = 1 if words else status or 0
+    return subprocess.CompletedProcess(sys.argv, code, out, err + words)
 
 
 @pytest.fixture
@@ -319,8 +342,13 @@ def undrawn(monkeypatch):
 
     Drawing takes most of a page's time.
     """
+    leave_pictures_empty(monkeypatch)
+
+
+def leave_pictures_empty(patch):
+    """Leave pictures empty, as `undrawn`, for fixtures of a whole file."""
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
-    monkeypatch.setattr(
+    patch.setattr(
         "stringcast.stages.report.theme.FigureCanvasSVG", lambda figure: empty
     )
 
@@ -370,11 +398,17 @@ def camera() -> Camera:
     return configured(Camera, "camera/highspeed.yaml")
 
 
-@pytest.fixture(scope="module")
-def null_trials(arm, camera, tmp_path_factory):
+@pytest.fixture(scope="session")
+def null_dataset():
+    """Draw trials that hide nothing, of the seed 1."""
+    return draw("own_kernel", 1, "none")
+
+
+@pytest.fixture(scope="session")
+def null_trials(null_dataset, tmp_path_factory):
     """Write a folder of trials that hide nothing."""
     folder = tmp_path_factory.mktemp("theirs")
-    draw("own_kernel", 1, "none").write(folder)
+    null_dataset.write(folder)
     return folder
 
 

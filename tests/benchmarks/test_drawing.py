@@ -56,11 +56,6 @@ def drifting():
     return draw("own_kernel", 4, "effect", ["clock_drift"])
 
 
-@pytest.fixture(scope="module")
-def plain():
-    return draw("own_kernel", 1, "none")
-
-
 def refit_base(scene, points):
     """Return what a fit of all base parameters leaves of points (N, S, 2) [m]."""
     for _ in range(3):
@@ -133,14 +128,14 @@ class FakeTrials:
 
 
 def test_the_command_writes_the_dataset_of_a_seed_and_the_truth_apart(
-    plain, drifting, tmp_path, capsys
+    null_dataset, drifting, tmp_path, capsys
 ):
     folder, truth = tmp_path / "riddle", tmp_path / "riddle.json"
     status = command.main(["1", str(folder), str(truth), "--kind", "none"])
     assert status == 0
     assert str(truth) in capsys.readouterr().out
     assert '"kind": "none"' in truth.read_text()
-    plain.write(tmp_path / "same")
+    null_dataset.write(tmp_path / "same")
     drifting.write(tmp_path / "other")
     assert content_hash(tmp_path / "same") == content_hash(folder)
     assert content_hash(tmp_path / "other") != content_hash(folder)
@@ -180,26 +175,26 @@ def test_a_cause_is_as_large_as_the_truth_says(drifting):
     assert left == pytest.approx(drifting.truth.causes[0].size_m, rel=0.25)
 
 
-def test_a_plain_dataset_fits_to_its_noise(plain):
-    assert not plain.truth.causes
-    left = refit_base(plain.scene, np.concatenate(plain.points))
-    assert left.std() == pytest.approx(plain.truth.sigma, rel=0.1)
+def test_a_plain_dataset_fits_to_its_noise(null_dataset):
+    assert not null_dataset.truth.causes
+    left = refit_base(null_dataset.scene, np.concatenate(null_dataset.points))
+    assert left.std() == pytest.approx(null_dataset.truth.sigma, rel=0.1)
 
 
-def test_the_own_kernel_is_far_more_accurate_than_the_noise(plain):
-    scene = plain.scene
+def test_the_own_kernel_is_far_more_accurate_than_the_noise(null_dataset):
+    scene = null_dataset.scene
     [cast, *_] = scene.casts
     final = scene.observe(cast, {}, Fidelity.FINAL)
     check = scene.observe(cast, {}, Fidelity.CHECK)
     error = np.linalg.norm((final - check)[:, -1], axis=-1).max()
     assert error < scene.sigma / 3
-    assert error == plain.truth.numerical_error_m["t00"]
+    assert error == null_dataset.truth.numerical_error_m["t00"]
     assert make_string(0.3, Fidelity.FINAL, with_all_effects=False).points > 150
 
 
 @pytest.mark.long
-def test_a_library_effect_is_a_disguise_and_a_shaking_base_is_none(plain):
-    scene, rng = plain.scene, np.random.default_rng(0)
+def test_a_library_effect_is_a_disguise_and_a_shaking_base_is_none(null_dataset):
+    scene, rng = null_dataset.scene, np.random.default_rng(0)
     scaled = {"camera.scale": 0.02}
     shaking = {"hand.shaking": 8e-3, "hand.shaking_frequency": 9.0}
 

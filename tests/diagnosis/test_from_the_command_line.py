@@ -4,7 +4,7 @@ import json
 
 import pytest
 import yaml
-from conftest import pipeline
+from conftest import call_command, leave_pictures_empty
 
 from stringcast.data.artifacts import Motion
 from stringcast.data.diagnoses import Diagnosis
@@ -17,13 +17,16 @@ def folder(arm, camera, tmp_path_factory):
     """Diagnose two slow casts whose joints lag by 1 ms; return data/ and run/."""
     folder = tmp_path_factory.mktemp("lag")
     write_slow_casts(folder / "data", arm, camera, {"arm_lag.time_constant": 1e-3})
-    command = pipeline(
-        "+experiment=diagnose",
-        f"trials={folder / 'data'}",
-        "diagnose.design.motions=20",
-        "diagnose.criteria.tip_tolerance_m=0.0005",  # the lag moves the tip by 1 mm
-        f"hydra.run.dir={folder / 'run'}",
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        leave_pictures_empty(patch)
+        command = call_command(
+            "+experiment=diagnose",
+            f"trials={folder / 'data'}",
+            "diagnose.starts=4",
+            "diagnose.design.motions=20",
+            "diagnose.criteria.tip_tolerance_m=0.0005",  # the lag moves the tip 1 mm
+            f"hydra.run.dir={folder / 'run'}",
+        )
     assert command.returncode == 0, command.stderr
     assert "Warning" not in command.stderr
     return folder

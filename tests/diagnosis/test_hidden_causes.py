@@ -17,7 +17,8 @@ def diagnose(arm, camera, tmp_path):
 
     def observe_and_diagnose(hidden, only_cast=None):
         write_slow_casts(tmp_path / "data", arm, camera, hidden, only_cast)
-        settings = compose_settings(["+experiment=diagnose", "string=paper"])
+        words = ["+experiment=diagnose", "string=paper", "diagnose.starts=4"]
+        settings = compose_settings(words)
         return diagnosis_document(tmp_path / "data", settings)
 
     return observe_and_diagnose

@@ -198,7 +198,7 @@ def test_real_footage_agrees_with_its_table(name, length):
         float((table["v"] + 2350 * table["y"]).mean()),
     )
     camera = Camera(640, 360, 2350.0, origin, 239.76)
-    every = np.arange(0, len(t), 8)
+    every = np.arange(0, len(t), 16)
     footage = Footage(
         t[every],
         [images[i] for i in every],

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from conftest import pipeline
+from conftest import call_command
 
 from stringcast.data import store
 
@@ -20,7 +20,7 @@ PACKAGES = {"joblib": "joblib", "ray": "ray", "slurm": "submitit"}
 HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
 
 
-def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
+def sweep(folder, trials, threads, *overrides, betas="0.9,0.99"):
     asked = [
         "+experiment=estimate",
         f"trials={trials}",
@@ -29,7 +29,7 @@ def sweep(folder, trials, threads, *overrides, betas="0.9,0.99", call=pipeline):
         "saved_outputs=[]",
     ]
     how = [f"hydra.sweep.dir={folder}", f"hydra.launcher.threads={threads}"]
-    return call("--multirun", *asked, *how, *overrides)
+    return call_command("--multirun", *asked, *how, *overrides)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
 
 
 def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
-    swept, trials, called
+    swept, trials
 ):
     folder, _ = swept
     before = numbers(folder)
@@ -129,7 +129,6 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
         1,
         "hydra.launcher.retry=true",
         betas="0.90,1.5",
-        call=called,
     )
     assert grown.returncode == 1
     assert attempts(folder) == {0.9: ("done", 1), 1.5: ("failed", 2)}

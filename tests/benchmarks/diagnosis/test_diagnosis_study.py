@@ -22,6 +22,7 @@ from stringcast.data.store import read_table
 from stringcast.pipeline.paper.scores import share_with_interval
 from stringcast.pipeline.run.provenance import code_state
 from stringcast.stages.diagnose.outlying_trials import OUTLYING
+from tests.benchmarks import draw as drawing
 from tests.benchmarks.diagnosis.answers import (
     answer_name,
     answer_probability,
@@ -355,8 +356,10 @@ def test_a_diagnosis_that_fails_is_a_wrong_answer(tmp_path):
     assert not is_correct(failed)
 
 
-def test_a_synthetic_dataset_that_hides_nothing(tmp_path):
+def test_a_synthetic_dataset_that_hides_nothing(null_dataset, tmp_path, monkeypatch):
     """A diagnosis that finds nothing agrees with a ground truth without causes."""
+    drawn = {("own_kernel", 1, "none"): null_dataset}
+    monkeypatch.setattr(drawing, "draw", lambda *given, trials: drawn[given])
     made = draw_and_diagnose(
         1,
         tmp_path,
