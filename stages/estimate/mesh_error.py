@@ -1,4 +1,9 @@
-"""The error of the mesh in trials, as far as an estimate knows it.
+"""The error of the mesh in an estimate: what is known of it, and what trials show.
+
+It is subtracted from the measured points (`inference.mesh_limit`). This begins at the
+solution on a far finer mesh. From the solution on the mesh itself, the correction of a
+soft string ends elsewhere: of string D, which bends over a segment, it left twice the
+noise, or more than without a correction.
 
 An error has a part that three meshes agree on. The rest has a known shape and an
 unknown amplitude, about which the trial itself says most. Where a string whips, the
@@ -12,8 +17,34 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import EXTRAPOLATED_MESHES, refine_mesh
+from stringcast.stages.inference.mesh_limit import refine_at_mesh_limit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
+from stringcast.stages.inference.search import refine_exponents
 from stringcast.stages.inference.whitening import IndependentErrors
+
+FINE_ITERATIONS = 3  # on the finest mesh: more move no correction's end
+
+
+def solve_at_mesh_limit(
+    on_mesh: Likelihood, chi: np.ndarray
+) -> tuple[Likelihood, np.ndarray]:
+    """Find the parameters (P,) of the string itself from those of it on its mesh.
+
+    The solution stays as it is if the corrected one leaves more noise.
+
+    Returns the likelihood of the corrected points and the exponents there.
+    """
+    finest = max(EXTRAPOLATED_MESHES)
+    model, trials = refine_mesh(on_mesh.model, on_mesh.data.trials, finest)
+    on_finest = replace(on_mesh.with_trials(trials), model=model)
+    start = refine_exponents(on_finest, chi, FINE_ITERATIONS)
+
+    at_limit, best = refine_at_mesh_limit(on_mesh, start)
+    noise = np.mean(np.log(at_limit.noise_scales))
+    if at_limit is on_mesh or noise > np.mean(np.log(on_mesh.noise_scales)):
+        return on_mesh, chi
+    return at_limit, best
 
 
 def subtract_uncertain_error(
