@@ -17,7 +17,7 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh import mesh_ladder
+from stringcast.stages.inference.mesh import mesh_ladder, with_corrected_points
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
 from stringcast.stages.inference.solver import fit_least_squares
@@ -103,7 +103,9 @@ class Comparer:
     def screened_square(self, effects: Sequence[type[Effect]]) -> float:
         """Compute the mean square that a few iterations leave on a coarse mesh.
 
-        They begin at the best of some sizes of the last effect.
+        They begin at the best of some sizes of the last effect. The error of the mesh
+        at the estimate is subtracted: a gravity that is turned makes up for it, and
+        wind does not.
         """
         assert self.base.estimate is not None
         hypothesis = Hypothesis(self.model, tuple(effects))
@@ -114,6 +116,7 @@ class Comparer:
         fitted = self.base.estimate.parameters
         exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
         start = hypothesis.exponents_from(exponents)
+        coarse = with_corrected_points(coarse, start)
         coarse = with_estimated_noise(coarse, start)
 
         starts = start[None]

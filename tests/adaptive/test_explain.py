@@ -596,6 +596,28 @@ def test_no_effect_is_evident_where_none_is_hidden(screened):
     assert max(found.values()) < 0
 
 
+def test_a_coarse_mesh_compares_effects_without_its_error(
+    arm, camera, observe, monkeypatch
+):
+    """At the true parameters that mesh of 10 segments errs by more than the noise."""
+    noise_scales = []
+
+    def keep_noise(likelihood, *given):
+        noise_scales.extend(likelihood.noise_scales)
+        return fit_least_squares(likelihood, *given)
+
+    module = "stringcast.stages.explain.comparison"
+    monkeypatch.setattr(f"{module}.fit_least_squares", keep_noise)
+    model = Model(String(0.3, points=20), arm, camera)
+    base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
+    compare = Comparer(model, [observe({})], base, BLOCKS, fit_model=None, seed=0)
+    compare.screened_square(())
+    monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
+    compare.screened_square(())
+    corrected, plain = noise_scales
+    assert corrected < 0.5 * plain
+
+
 def perform_casts(method, *overrides):
     """Return the casts of a method on the virtual lab, without filming."""
     settings = compose_settings([f"method={method}", *overrides])
