@@ -1,4 +1,10 @@
-"""Fixtures of several tests: the default world, and trials filmed once."""
+"""Fixtures of several tests: the default world, and trials filmed once.
+
+What takes long to import is imported where it is used. Controllers of parallel workers
+and tests of drivers need little of it, and all would take 2 s of each process.
+"""
+
+from __future__ import annotations
 
 import io
 import os
@@ -10,41 +16,23 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
-import numba
-import numpy as np
-import pandas as pd
 import pytest
 import yaml
-from hydra._internal import config_loader_impl
-from hydra._internal.hydra import Hydra
-from omegaconf import OmegaConf
-from threadpoolctl import threadpool_limits
 
 import stringcast
-from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
-from stringcast.hardware.virtual.bench import (
-    Specimen,
-    VirtualArm,
-    VirtualBench,
-    VirtualCamera,
-)
-from stringcast.pipeline.commands.check import read_measurements
-from stringcast.pipeline.settings.composition import conf_folders
-from stringcast.stages.execute.execute import execute
-from stringcast.stages.model.arm import Arm
-from stringcast.stages.model.camera import Camera
-from stringcast.stages.model.effects.dahl_friction import DahlFriction
-from stringcast.stages.model.effects.grasp_play import GraspPlay
-from stringcast.stages.model.effects.gravity import Gravity
-from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
-from stringcast.stages.model.effects.standard_linear_solid import StandardLinearSolid
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
-from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import PAPER_EFFECTS, String
 from stringcast.stages.plugins import PLUGINS_VARIABLE
-from stringcast.stages.workers import use_workers
-from tests.benchmarks.simulators import draw
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from stringcast.data.artifacts import Motion
+    from stringcast.hardware.virtual.bench import Specimen
+    from stringcast.stages.model.arm import Arm
+    from stringcast.stages.model.camera import Camera
+    from stringcast.stages.model.model import Model
+    from stringcast.stages.model.string import String
 
 ROOT = Path(__file__).resolve().parents[1]
 if not Path(stringcast.__file__).resolve().is_relative_to(ROOT):
@@ -62,13 +50,6 @@ TRUTH = {
     "grasp_stiffness": 2.0,
     "grasp_damping": 5e-3,
 }
-MEMORY_EFFECTS = (MaxwellSlip, DahlFriction, StandardLinearSolid, GraspPlay)
-# Without gravity the set-up compiles no loop. Tests of such strings share this one.
-WEIGHTLESS_WITH_MEMORY = (
-    *(effect for effect in PAPER_EFFECTS if effect is not Gravity),
-    *MEMORY_EFFECTS,
-)
-
 
 # Files that take longest come first, so that parallel workers end together. Files that
 # use the same compiled kernels follow one another, so that one worker compiles them.
@@ -158,6 +139,11 @@ def cores_are_shared():
     thread, as in a command: two threads spin while they wait and take 4 of a diagnosis'
     24 s of processor time. A stage has one process, in which tests replace functions.
     """
+    import numba
+    from threadpoolctl import threadpool_limits
+
+    from stringcast.stages.workers import use_workers
+
     numba.set_num_threads(share())
     with threadpool_limits(1, "blas"), use_workers(1):
         yield
@@ -171,6 +157,8 @@ def files_of_settings_are_parsed_once():
     of commands. OmegaConf's result for a text is kept, which saves a quarter of a
     composition's time.
     """
+    from omegaconf import OmegaConf
+
     parse = OmegaConf.load
     kept = cache(lambda text: parse(io.StringIO(text)))
     with pytest.MonkeyPatch.context() as patch:
@@ -191,6 +179,10 @@ def files_of_settings_are_merged_once():
     That is most of a composition, and other commands differ in single values alone.
     Files of plugins are chosen and merged each time.
     """
+    from hydra._internal import config_loader_impl
+
+    from stringcast.pipeline.settings.composition import conf_folders
+
     choose = config_loader_impl.create_defaults_list
     merge = config_loader_impl.ConfigLoaderImpl._compose_config_from_defaults_list
     chosen, merged = {}, {}
@@ -235,6 +227,8 @@ def settings_are_composed_once():
     It composes all settings to learn that, and then again. An experiment of a plugin
     and a mode on the command line still decide by themselves.
     """
+    from hydra._internal.hydra import Hydra
+
     learn_mode = Hydra.get_mode
     one_run = {
         file.stem
@@ -256,6 +250,8 @@ def settings_are_composed_once():
 
 def share():
     """Return the number of cores of each worker."""
+    import numba
+
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     return max(numba.config.NUMBA_NUM_THREADS // workers, 1)
 
@@ -363,6 +359,8 @@ def undrawn_trial(monkeypatch):
 @contextmanager
 def threads(number):
     """Run the block with a number of Numba's threads."""
+    import numba
+
     before = numba.get_num_threads()
     numba.set_num_threads(number)
     try:
@@ -373,12 +371,16 @@ def threads(number):
 
 def other_threads():
     """Return another number of threads than now, where there are several cores."""
+    import numba
+
     return threads(1 if numba.get_num_threads() > 1 else numba.config.NUMBA_NUM_THREADS)
 
 
 @cache
 def measured_sample():
     """Return the sample as `check` reads it, with arm and camera of the settings."""
+    from stringcast.pipeline.commands.check import read_measurements
+
     return read_measurements(ROOT / "data" / "sample", [])
 
 
@@ -390,17 +392,23 @@ def configured(kind, path):
 
 @pytest.fixture(scope="session")
 def arm() -> Arm:
+    from stringcast.stages.model.arm import Arm
+
     return configured(Arm, "arm/paper.yaml")
 
 
 @pytest.fixture(scope="session")
 def camera() -> Camera:
+    from stringcast.stages.model.camera import Camera
+
     return configured(Camera, "camera/highspeed.yaml")
 
 
 @pytest.fixture(scope="session")
 def null_dataset():
     """Draw trials that hide nothing, of the seed 1."""
+    from tests.benchmarks.simulators import draw
+
     return draw("own_kernel", 1, "none")
 
 
@@ -414,6 +422,10 @@ def null_trials(null_dataset, tmp_path_factory):
 
 def ordinary(arm) -> Model:
     """Return the configured base model of an ordinary string before a simple camera."""
+    from stringcast.stages.model.camera import Camera
+    from stringcast.stages.model.model import Model
+    from stringcast.stages.model.string import String
+
     return Model(
         String(0.3), arm, Camera(640, 640, 340.0, (251.5, 387.5), 200.0, 0.001, 0.0)
     )
@@ -421,6 +433,9 @@ def ordinary(arm) -> Model:
 
 def implicit_string(points, largest_step, length=0.3, **settings) -> String:
     """Return a string with half cells at its ends and implicit time steps."""
+    from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+    from stringcast.stages.model.string import String
+
     return String(
         length,
         points,
@@ -440,22 +455,33 @@ def simulated_points(trial, values):
 
 def rms_distance(trial, values):
     """Return the rms distance of a string of these values from measured points [m]."""
+    import numpy as np
+
     simulated = simulated_points(trial, values)
     return np.sqrt(trial.mean_square_distances(simulated)[0])
 
 
 def specimen(name) -> Specimen:
+    from stringcast.hardware.virtual.bench import Specimen
+
     return configured(Specimen, f"specimen/{name}.yaml")
 
 
 def waving_pose(t: np.ndarray, size: float, angle: float) -> np.ndarray:
     """Return poses (K, 3) of a hand that waves by `size` [m] from an angle [rad]."""
+    import numpy as np
+
     x, y, turn = np.sin(np.multiply.outer([9, 5, 7], t)) ** 2
     return np.stack([size * x, size * y, angle + 1.5 * turn], axis=-1)
 
 
 def swing(duration=0.5, start=(-0.9, 0.6, 0.4), speeds=(7.0, 5.0, -8.0)) -> Motion:
     """Return a smooth movement of all joints as a Motion artifact."""
+    import numpy as np
+    import pandas as pd
+
+    from stringcast.data.artifacts import JOINTS, SPEEDS, Motion
+
     t = np.arange(0, duration + 1e-9, 0.005)
     w = np.stack([a * np.sin(np.pi * t / duration) ** 2 for a in speeds], axis=-1)
     q = np.asarray(start) + np.concatenate(
@@ -482,6 +508,12 @@ def filmed(arm, camera):
 
     The true string is given at the frames.
     """
+    from stringcast.hardware.virtual.bench import (
+        VirtualArm,
+        VirtualBench,
+        VirtualCamera,
+    )
+    from stringcast.stages.execute.execute import execute
 
     def film(name, fps=camera.fps, **how):
         bench = VirtualBench(arm, replace(camera, fps=fps), specimen(name), seed=3)

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import MEMORY_EFFECTS, WEIGHTLESS_WITH_MEMORY
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
@@ -24,6 +23,7 @@ from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.laws.weightless import MEMORY_EFFECTS, WEIGHTLESS_WITH_MEMORY
 
 LENGTH = 0.3
 FORCES = (AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)

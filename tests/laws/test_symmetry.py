@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from conftest import TRUTH, WEIGHTLESS_WITH_MEMORY, threads, waving_pose
+from conftest import TRUTH, threads, waving_pose
 
 from stringcast.stages.model.effects.maxwell_slip import MaxwellSlip
 from stringcast.stages.model.engine import batching
@@ -12,6 +12,7 @@ from stringcast.stages.model.engine.integrators import RungeKutta4, SemiImplicit
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import PAPER_EFFECTS, String
+from tests.laws.weightless import WEIGHTLESS_WITH_MEMORY
 
 T = np.arange(0, 0.4, 0.005)
 POSE = waving_pose(T, 0.1, 0.3)
