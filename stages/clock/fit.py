@@ -10,7 +10,7 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.background_effects import background_responses
-from stringcast.stages.diagnose.base_model import fit_base_model
+from stringcast.stages.diagnose.base_model import fit_base_model, fit_from_beginnings
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
@@ -115,7 +115,10 @@ def fit_clock(
     grid_points = most_likely_grid_point(data.log_likelihood_by_grid_point(residuals))[
         :, 0
     ]
-    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], grid_points))
+    fit = fit_hypothesis(data, hypothesis, chi[None], grid_points)
+    restarted = fit_from_beginnings(data, fit)
+    best = max((fit, restarted), key=lambda each: each.log_evidence)
+    return ClockFit(data, best)
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:

@@ -7,11 +7,13 @@ The interval holds for strings with any effect of the library (`posterior`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
 from scipy.special import chdtrc
 
 from stringcast.data.artifacts import Observation
@@ -37,6 +39,7 @@ from stringcast.stages.clock.windows import (
 )
 from stringcast.stages.common import NORMAL_95, Progress, partial_progress
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
@@ -183,26 +186,57 @@ def fit_clock_offset(
     trials = [CheckedTrial(o, model.arm, model.string.length) for o in observations]
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
-    if len(set(windows.values())) == 1:
-        together = _estimate_together(model, used, windows[used[0].name], rng, progress)
-        if together.clock.is_common:
-            return together
+    if len(set(windows.values())) > 1:
+        apart, _ = _estimate_apart(model, used, rng, progress)
+        return apart
 
-    # The trials do not agree: each has a clock of its own
-    by_trial: dict[str, Interval] = {}
+    together = _estimate_together(model, used, windows[used[0].name], rng, progress)
+    if together.clock.is_common:
+        return together
+    apart, joint_fit = _estimate_apart(model, used, rng, progress)
+    if _explain_more(joint_fit, together.fits[0]):
+        return apart
+    return replace(together, clock=replace(together.clock, is_common=True))
+
+
+def _estimate_apart(
+    model: Model,
+    trials: Sequence[CheckedTrial],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[FittedOffset, ClockFit]:
+    """Estimate an offset for each trial, of one string.
+
+    Each trial is fitted alone, as offsets may be far apart. Then all are fitted
+    together about these offsets. Returns the fit together as well.
+    """
     estimates = []
-    for number, trial in enumerate(used):
+    for number, trial in enumerate(trials):
         (window,) = possible_windows([trial]).values()
-        part = partial_progress(progress, number, len(used))
-        estimate = _estimate_together(model, [trial], window, rng, part)
-        estimates.append(estimate)
-        by_trial |= estimate.clock.by_trial
-    first = estimates[0].clock
-    return FittedOffset(
-        ClockOffset(by_trial, False, first.drift, first.profile),
-        [estimate.fits[0] for estimate in estimates],
-        [estimate.windows[0] for estimate in estimates],
-    )
+        part = partial_progress(progress, number, len(trials) + 1)
+        estimates.append(_estimate_together(model, [trial], window, rng, part))
+
+    alone = {}
+    for estimate in estimates:
+        alone |= {name: each.value for name, each in estimate.clock.by_trial.items()}
+    shifted = shift_observations([trial.observation for trial in trials], alone)
+    part = partial_progress(progress, len(trials), len(trials) + 1)
+    joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
+
+    background = effect_responses(joint_fit)
+    posterior = _posterior(joint_fit, background, _own_columns(joint_fit))
+    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_s(trials)
+    by_trial = {}
+    for name, mean, deviation in zip(
+        alone, posterior.mean, posterior.standard_deviation, strict=True
+    ):
+        value = alone[name] + joint_fit.offset + mean
+        by_trial[name] = Interval.from_deviation(value, deviation, floor)
+    drift, _ = _estimate_drift(joint_fit, background)
+    clock = ClockOffset(by_trial, False, drift, estimates[0].clock.profile)
+    fits = [estimate.fits[0] for estimate in estimates]
+    windows = [estimate.windows[0] for estimate in estimates]
+    return FittedOffset(clock, fits, windows), joint_fit
 
 
 def _estimate_together(
@@ -229,10 +263,11 @@ def _estimate_together(
 
     # The offset with every effect of the library
     background = effect_responses(clock)
-    frame_s = max(float(np.median(np.diff(trial.frame_t))) for trial in trials)
+    frame_s = _longest_frame_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    interval, drift = _common_offset(clock, background, window.middle, floor)
-    apart = _posterior(clock, background, _own_columns(clock))
+    own = _posterior(clock, background, _own_columns(clock))
+    scatter_s = _scatter_of_trials(own)
+    interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
     progress(1.0)
 
     offsets = window.middle + profile.offsets
@@ -243,7 +278,7 @@ def _estimate_together(
     }
     estimate = ClockOffset(
         by_trial=dict.fromkeys(names, interval),
-        is_common=not _trials_differ(apart, frame_s),
+        is_common=not _trials_differ(own, frame_s),
         drift=drift,
         profile=pd.DataFrame(columns),
     )
@@ -251,17 +286,20 @@ def _estimate_together(
 
 
 def _common_offset(
-    clock: ClockFit, background: ByTrial, added: float, floor: float
+    clock: ClockFit, background: ByTrial, added: float, floor: float, scatter_s: float
 ) -> tuple[Interval, Interval | None]:
     """Return the offset that all trials share, and their drift if one is seen.
 
     added: what was added to the camera's times before the fit [s]. floor: what no
-    camera stamps better [s], added to half of the offset's interval.
+    camera stamps better [s], added to half of the offset's interval. scatter_s: of the
+    trials' own offsets.
     """
+    deviation_of_mean_s = scatter_s / np.sqrt(len(clock.data.trials))
     columns = [slope[None] for slope in time_slopes(clock)]
     common = _posterior(clock, background, columns)
     value = added + clock.offset + common.mean[0]
-    interval = Interval.from_deviation(value, common.standard_deviation[0], floor)
+    deviation_s = np.hypot(common.standard_deviation[0], deviation_of_mean_s)
+    interval = Interval.from_deviation(value, deviation_s, floor)
     drift, offset_with_drift = _estimate_drift(clock, background)
     if drift is None:
         return interval, None
@@ -382,14 +420,56 @@ def _estimate_drift(
     return drift, offset
 
 
-def _trials_differ(apart: BackgroundPosterior, frame_s: float) -> bool:
-    """Return whether trials cannot have the same offset."""
-    count = len(apart.mean)
-    if count < 2 or np.ptp(apart.mean) < frame_s:
-        return False
+def _scatter_of_trials(own: BackgroundPosterior) -> float:
+    """Estimate how far own offsets of the trials scatter beyond their posterior [s].
+
+    What the model misses moves the offset of each trial. The scatter is what makes the
+    differences as large as they are (Paule and Mandel 1982, J. Res. NBS 87, 377).
+    """
+    freedom = len(own.mean) - 1
+    excess = partial(_differences_of_trials, own)
+    if freedom < 1 or excess(0.0) <= freedom:
+        return 0.0
+    largest = np.ptp(own.mean) * np.sqrt(len(own.mean))
+    return float(brentq(lambda scatter_s: excess(scatter_s) - freedom, 0.0, largest))
+
+
+def _differences_of_trials(own: BackgroundPosterior, scatter_s: float) -> float:
+    """Compute the square of how much own offsets of the trials differ.
+
+    It is of the differences' standard deviations, with a scatter of the offsets.
+    """
+    count = len(own.mean)
     contrast = np.diff(np.eye(count), axis=0)
-    difference = contrast @ apart.mean
-    covariance = contrast @ apart.covariance @ contrast.T
-    square = float(difference @ np.linalg.solve(covariance, difference))
+    difference = contrast @ own.mean
+    scattered = own.covariance + scatter_s**2 * np.eye(count)
+    covariance = contrast @ scattered @ contrast.T
+    return float(difference @ np.linalg.solve(covariance, difference))
+
+
+def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
+    """Return whether the likelihood says that trials have offsets of their own."""
+    freedom = len(own.mean) - 1
+    if freedom < 1 or np.ptp(own.mean) < frame_s:
+        return False
     widening = HALF_WIDTH / NORMAL_95
-    return bool(chdtrc(count - 1, square / widening**2) < SIGNIFICANCE)
+    square = _differences_of_trials(own, 0.0) / widening**2
+    return bool(chdtrc(freedom, square) < SIGNIFICANCE)
+
+
+def _explain_more(own: ClockFit, common: ClockFit) -> bool:
+    """Return whether own offsets of the trials explain what a common one does not.
+
+    They have more evidence, and remove enough of the mean square misfit at the tip: a
+    string that the model does not describe fits a little better at any offset.
+    """
+    before = unexplained_tip_rms(common.data, common.fit)
+    after = unexplained_tip_rms(own.data, own.fit)
+    explained = 1 - np.sum(after**2) / np.sum(before**2)
+    has_evidence = own.fit.log_evidence > common.fit.log_evidence
+    return bool(has_evidence and explained >= MIN_EXPLAINED_FRACTION)
+
+
+def _longest_frame_s(trials: Sequence[CheckedTrial]) -> float:
+    """Find the longest usual time between two frames of a trial [s]."""
+    return max(float(np.median(np.diff(trial.frame_t))) for trial in trials)

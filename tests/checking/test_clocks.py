@@ -38,6 +38,7 @@ from stringcast.stages.clock.windows import (
     onset_window,
     possible_windows,
 )
+from stringcast.stages.diagnose.background_effects import BackgroundPosterior
 
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured" / "tudelft_cable_fr3"
@@ -134,6 +135,91 @@ def test_strings_are_sought_up_to_a_clamped_strip():
     measured = replace(plain, measured_ranges={"grasp_stiffness": (1.0, 2.0)})
     ranges = model_up_to_strips(measured).string.ranges
     assert ranges["grasp_stiffness"] == before["grasp_stiffness"]
+
+
+def push_aside(observation, metres, onset_s=0.3):
+    """Push the string aside from an onset on, farther and farther, as a gust does."""
+    points = observation.points
+    since_onset_s = np.maximum(points["t"] - points["t"].min() - onset_s, 0.0)
+    push_m = metres * since_onset_s * points["s"] / points["s"].max()
+    return replace(observation, points=points.assign(x=points["x"] + push_m))
+
+
+@pytest.mark.long
+def test_trials_that_something_unknown_moves_keep_one_clock():
+    pushes_m = (0.3, -0.2, 0.1)
+    pushed = [
+        push_aside(late(seen, 0.0, tip_alone=False).observation, metres)
+        for seen, metres in zip(TRIALS, pushes_m, strict=False)
+    ]
+    model = plain_model(CHECKED)
+    found = estimate_clock_offset(model, pushed, np.random.default_rng(0))
+    assert found.is_common
+    assert found.drift is None
+    interval = found.by_trial["t00"]
+    assert interval.low < 0 < interval.high
+
+
+@pytest.mark.long
+def test_trials_with_clocks_of_their_own_are_told_so():
+    given_s = {"t00": 0.0, "t01": 0.06, "t02": -0.04}
+    trials = [
+        late(seen, given_s[seen.name], tip_alone=False).observation
+        for seen in TRIALS
+        if seen.name in given_s
+    ]
+    model = plain_model(CHECKED)
+    found = estimate_clock_offset(model, trials, np.random.default_rng(0))
+    assert not found.is_common
+    for name, by in given_s.items():
+        interval = found.by_trial[name]
+        assert interval.low < -by < interval.high
+        assert interval.width < 4 * FRAME_S
+
+
+@pytest.mark.parametrize(
+    ("own_evidence", "left_m", "is_common"),
+    [(10.0, 0.01, False), (10.0, 0.08, True), (-10.0, 0.01, True)],
+)
+def test_own_clocks_need_evidence_and_explain_half_of_the_misfit(
+    own_evidence, left_m, is_common, monkeypatch
+):
+    def fit(log_evidence, misfit_m):
+        return SimpleNamespace(
+            fit=SimpleNamespace(log_evidence=log_evidence), data=misfit_m
+        )
+
+    window = Window(-0.3, 0.3)
+    name = TRIALS[0].name
+    by_trial = {name: Interval(0.0, -0.1, 0.1)}
+    together = FittedOffset(
+        ClockOffset(by_trial, False, None, pd.DataFrame()), [fit(0.0, 0.1)], [window]
+    )
+    apart = replace(together, clock=ClockOffset(by_trial, False, None, pd.DataFrame()))
+    joint_fit = fit(own_evidence, left_m)
+    monkeypatch.setattr(offset, "_estimate_together", lambda *given: together)
+    monkeypatch.setattr(offset, "_estimate_apart", lambda *given: (apart, joint_fit))
+    monkeypatch.setattr(
+        offset, "unexplained_tip_rms", lambda data, fit: np.full(2, data)
+    )
+    observations = [seen.observation for seen in TRIALS[:2]]
+    found = estimate_clock_offset(
+        plain_model(CHECKED), observations, np.random.default_rng(0)
+    )
+    assert found.is_common == is_common
+
+
+def test_offsets_that_scatter_beyond_their_posterior_state_by_how_much():
+    """Of equal deviations, the scatter is what the variance of the means exceeds."""
+    mean = np.array([0.01, -0.02, 0.03, 0.0])
+    own = BackgroundPosterior(mean, 0.005**2 * np.eye(4))
+    excess = np.var(mean, ddof=1) - 0.005**2
+    assert offset._scatter_of_trials(own) == pytest.approx(np.sqrt(excess))
+    # what all share does not count, and offsets nearer than that do not scatter
+    shared = replace(own, covariance=own.covariance + 1.0)
+    assert offset._scatter_of_trials(shared) == pytest.approx(np.sqrt(excess), rel=1e-3)
+    wide = replace(own, covariance=0.05**2 * np.eye(4))
+    assert offset._scatter_of_trials(wide) == 0.0
 
 
 def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
