@@ -216,7 +216,7 @@ def _estimate_apart(
         part = partial_progress(progress, number, len(trials) + 1)
         estimates.append(_estimate_together(model, [trial], window, rng, part))
 
-    alone = {}
+    alone: dict[str, float] = {}
     for estimate in estimates:
         alone |= {name: each.value for name, each in estimate.clock.by_trial.items()}
     shifted = shift_observations([trial.observation for trial in trials], alone)
