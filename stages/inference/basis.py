@@ -8,11 +8,14 @@ a squared exponential kernel.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array, hstack
+
+from stringcast.stages.model.engine.threads import compile_kernel
 
 # of the length: as of a string's first modes, which a hand moves most
 PLACE_CORRELATION_SHARE = 0.35
@@ -87,3 +90,93 @@ def nystrom_root(
     node_root = cholesky(among_nodes, lower=True)
     root = solve_triangular(node_root, to_nodes.T, lower=True)
     return np.asarray(root.T)
+
+
+@dataclass(frozen=True)
+class SmoothFunctions:
+    """Products of functions of time and of place at the points of a trial.
+
+    Product k B + b is that of the function of place k and the spline b, K B in all.
+    Each frame has the same functions of time, so that sums go over its points first.
+
+    Parameters
+    ----------
+    in_time
+        Splines at the frames, (F, B).
+    in_place
+        Functions of place at the points, (n, K).
+    frame
+        Frame of each point, (n,).
+    """
+
+    in_time: np.ndarray
+    in_place: np.ndarray
+    frame: np.ndarray
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (C, 2 n) times each function over the points, (2 C, K B).
+
+        The rows of a candidate are those of x and y.
+        """
+        frames, splines = self.in_time.shape
+        places = self.in_place.shape[1]
+        by_frame = np.zeros((len(values), 2, frames, places))
+        by_point = values.reshape(len(values), len(self.frame), 2)
+        _sum_over_points(by_point, self.in_place, self.frame, by_frame)
+        by_place = by_frame.transpose(0, 1, 3, 2)  # (C, 2, K, F)
+        return np.asarray((by_place @ self.in_time).reshape(-1, places * splines))
+
+    def at_points(self, factors: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """Sum the functions times factors (2 C, K B) at some of the points, (C, 2 m).
+
+        factors: rows as of `sums`. chosen: a mask of the m points, (n,).
+        """
+        places = self.in_place.shape[1]
+        by_place = factors.reshape(-1, 2, places, self.in_time.shape[1])
+        by_frame = by_place @ self.in_time.T  # (C, 2, K, F)
+        frame = self.frame[chosen]
+        sums = np.zeros((len(by_frame), len(frame), 2))
+        for k in range(places):
+            of_place = by_frame[:, :, k, frame] * self.in_place[chosen, k]
+            sums += of_place.transpose(0, 2, 1)
+        return sums.reshape(len(by_frame), -1)
+
+    def gram_by_frame(self, weight: np.ndarray) -> np.ndarray:
+        """Compute Gram matrices of the functions of place in each frame, (F, K, K).
+
+        weight: of each point, (n,).
+        """
+        places = self.in_place.shape[1]
+        gram = np.zeros((len(self.in_time), places, places))
+        weighted = weight[:, None] * self.in_place
+        products = weighted[:, :, None] * self.in_place[:, None, :]
+        np.add.at(gram, self.frame, products)
+        return gram
+
+    def products_with(self, other: np.ndarray, gram: np.ndarray) -> np.ndarray:
+        """Sum the functions times others over the points, (K B, K R).
+
+        The others are products of the same functions of place and others of time.
+
+        other: functions of time at the frames, (F, R). gram: as of `gram_by_frame`.
+        """
+        frames, splines = self.in_time.shape
+        places = self.in_place.shape[1]
+        weighted = gram[:, :, :, None] * self.in_time[:, None, None, :]
+        sums = weighted.reshape(frames, -1).T @ other
+        by_place = sums.reshape(places, places, splines, -1).transpose(0, 2, 1, 3)
+        return by_place.reshape(places * splines, -1)
+
+
+@compile_kernel
+def _sum_over_points(
+    values: np.ndarray, in_place: np.ndarray, frame: np.ndarray, sums: np.ndarray
+) -> None:
+    """Add values (C, n, 2) times functions of place (n, K) to sums (C, 2, F, K)."""
+    for c in range(len(values)):
+        for i in range(len(frame)):
+            x, y = values[c, i, 0], values[c, i, 1]
+            of_x, of_y = sums[c, 0, frame[i]], sums[c, 1, frame[i]]
+            for k in range(in_place.shape[1]):
+                of_x[k] += in_place[i, k] * x
+                of_y[k] += in_place[i, k] * y

@@ -34,9 +34,8 @@ class LowRankWhitening:
 
     def __call__(self, residual: np.ndarray) -> np.ndarray:
         """Whiten the residuals of candidates (C, N)."""
-        along = np.einsum("cn,nm->cm", residual, self.basis)
-        removed = np.einsum("cm,nm->cn", self.removed_share * along, self.basis)
-        return np.asarray(residual - removed)
+        along = residual @ self.basis
+        return np.asarray(residual - (self.removed_share * along) @ self.basis.T)
 
 
 @dataclass(frozen=True)

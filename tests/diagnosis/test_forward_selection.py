@@ -20,11 +20,9 @@ from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.rules import is_supported
-from stringcast.stages.inference.discrepancy import (
-    Discrepancy,
-    _kernel_roots,
-    remove_smooth_motion,
-)
+from stringcast.stages.inference.basis import place_functions
+from stringcast.stages.inference.discrepancy import Discrepancy, remove_smooth_motion
+from stringcast.stages.inference.discrepancy_basis import matern_root
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     MEDIAN_SCALE_M,
@@ -83,8 +81,12 @@ def discrepancy(trial):
 @pytest.fixture
 def covariances(trial, discrepancy):
     """Compute the dense covariance of the residuals at each scale."""
-    (of_one_axis,) = _kernel_roots(trial, np.linspace(0.2, 1.0, FRAMES)[None])
-    root = np.kron(of_one_axis, np.eye(2))
+    growth = np.linspace(0.2, 1.0, FRAMES)
+    growth /= np.sqrt(np.mean(growth**2))
+    in_time = (growth[:, None] * matern_root(trial.times))[trial.frame]
+    in_place = place_functions(trial.s, 0.3) / trial.sigma[:, None]
+    of_one_axis = np.einsum("nr,nk->nrk", in_time, in_place)
+    root = np.kron(of_one_axis.reshape(len(trial.s), -1), np.eye(2))
     nuisance = discrepancy.nuisance_shapes
     known = np.eye(len(root)) + nuisance @ nuisance.T
     return [known + scale_m**2 * root @ root.T for scale_m in DISCREPANCY_SCALES_M]
@@ -170,7 +172,7 @@ def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
     """
     no_shapes = np.zeros((2 * len(trial.s), 0))
     discrepancy = Discrepancy.for_trial(trial, np.zeros(FRAMES), no_shapes)
-    assert not discrepancy.variance.any()
+    assert not discrepancy.basis.at_onset(0).variance.any()
     diverged = np.full((1, 2 * len(trial.s)), DIVERGED_RESIDUAL)
     coefficients = discrepancy.coefficients(diverged)
     assert np.isfinite(discrepancy.log_likelihood_by_grid_point(coefficients)).all()

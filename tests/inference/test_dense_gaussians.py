@@ -8,11 +8,8 @@ from scipy.linalg import toeplitz
 from scipy.stats import multivariate_normal
 
 from stringcast.stages.inference import basis, initial_state, noise
-from stringcast.stages.inference.discrepancy import (
-    Discrepancy,
-    NoiseBasis,
-    _kernel_roots,
-)
+from stringcast.stages.inference.discrepancy import Discrepancy
+from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis, matern_root
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     ONSET_SHARES,
@@ -52,9 +49,20 @@ def errors(film, shapes):
     return Discrepancy.for_trial(film, GROWTH, shapes)
 
 
+def root_at_points(film, size):
+    """Compute a root of the covariance at the points of a discrepancy of unit size.
+
+    size: its relative size at each frame, (F,).
+    """
+    growth = size / np.sqrt(np.mean(size**2))
+    in_time = (growth[:, None] * matern_root(film.times))[film.frame]
+    in_place = basis.place_functions(film.s, LENGTH) / film.sigma[:, None]
+    return np.einsum("nr,nk->nrk", in_time, in_place).reshape(len(film.s), -1)
+
+
 def test_a_discrepancy_covaries_as_its_kernel_says(film):
     growth = np.linspace(0.2, 1.5, FRAMES)
-    (root,) = _kernel_roots(film, growth[None])
+    root = root_at_points(film, growth)
     t = film.times[film.frame]
     rate = np.sqrt(3) / 0.08
     gap_s = np.abs(t[:, None] - t)
@@ -64,17 +72,13 @@ def test_a_discrepancy_covaries_as_its_kernel_says(film):
     each = size[film.frame] * film.s / LENGTH / film.sigma
     expected = np.outer(each, each) * in_time * np.exp(-0.5 * gap**2)
     assert root @ root.T == pytest.approx(expected, abs=1e-3 * expected.max())
-    # one that cannot be simulated has none
-    (none,) = _kernel_roots(film, np.zeros((1, FRAMES)))
-    assert not none.any()
 
 
 def test_knots_that_are_far_apart_lengthen_the_correlation(film):
     """Of a minute, 64 splines are 0.95 s apart, and two gaps are the correlation time."""
     film.times = np.linspace(0.0, 60.0, FRAMES)
     film.sigma = np.ones(FRAMES * POINTS)
-    (whole,) = _kernel_roots(film, np.ones((1, FRAMES)))
-    root = whole[film.s == LENGTH]
+    root = root_at_points(film, np.ones(FRAMES))[film.s == LENGTH]
     gap = np.sqrt(3) * 7.5 / (2 * 60 / 63)
     expected = (1 + gap) * np.exp(-gap)
     assert root[0] @ root[1] == pytest.approx(expected, abs=0.02)
@@ -90,7 +94,7 @@ def test_white_noise_is_white_in_the_coefficients(errors):
 def dense_discrepancy(film, errors, grid_point):
     """Compute the covariance of a grid point in coefficients from that of points."""
     onset, scale_index = divmod(grid_point, SCALES)
-    root = list(_kernel_roots(film, sizes_by_onset(film.times, GROWTH)))[onset]
+    root = root_at_points(film, sizes_by_onset(film.times, GROWTH)[onset])
     at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
     at_points[::2, : root.shape[1]] = root  # x
     at_points[1::2, root.shape[1] :] = root  # y
@@ -147,7 +151,7 @@ def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
     everywhere = np.ones(FRAMES * POINTS, dtype=bool)
     drawn = errors.sample_posterior(np.zeros(count), grid_point, 4000, rng, everywhere)
     left = smooth - smooth @ np.linalg.solve(np.eye(count) + smooth, smooth)
-    to_points = film_splines(errors) @ errors.to_splines
+    to_points = functions_at_points(errors.basis) @ errors.basis.to_functions
     half = count // 2
     expected = np.einsum("ni,ij,nj->n", to_points, left[:half, :half], to_points)
     assert drawn.var(axis=0) == pytest.approx(np.repeat(expected, 2), rel=0.15)
@@ -161,7 +165,7 @@ def test_when_a_discrepancy_begins_is_found(film, onset):
     film.times = np.linspace(2.0, 3.2, FRAMES)
     errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
     rng = np.random.default_rng(4)
-    root = list(_kernel_roots(film, sizes_by_onset(film.times, GROWTH)))[onset]
+    root = root_at_points(film, sizes_by_onset(film.times, GROWTH)[onset])
     amplitudes = rng.standard_normal((20, root.shape[1], 2))
     residuals = (0.02 * root @ amplitudes).reshape(20, -1)
     residuals += rng.standard_normal(residuals.shape)
@@ -183,14 +187,44 @@ def test_a_discrepancy_is_a_hundredth_before_its_onset(film):
     assert sizes[3] == pytest.approx(expected)
 
 
-def film_splines(errors):
-    return errors.splines.toarray()
+def functions_at_points(found):
+    """Multiply functions of time by functions of place at each point, (n, K B)."""
+    smooth = found.functions
+    in_time = smooth.in_time[smooth.frame]
+    products = np.einsum("nk,nb->nkb", smooth.in_place, in_time)
+    return products.reshape(len(in_time), -1)
 
 
-def test_coefficients_go_back_to_the_splines_that_have_them(film):
-    found = NoiseBasis.for_trial(film)
-    splines = film_splines(found)
-    there_and_back = found.whiten @ splines.T @ splines @ found.to_splines
+def test_sums_over_points_are_those_of_all_products(film):
+    """Also where frames have fewer points, in any order."""
+    kept = np.random.default_rng(7).permutation(FRAMES * POINTS)[:-11]
+    film.frame, film.s, film.sigma = film.frame[kept], film.s[kept], film.sigma[kept]
+    found = DiscrepancyBasis.for_trial(film, GROWTH)
+    smooth = found.functions
+    dense = functions_at_points(found)
+    values = np.random.default_rng(8).standard_normal((3, len(kept), 2))
+    sums = np.einsum("cna,nj->caj", values, dense).reshape(6, -1)
+    assert smooth.sums(values.reshape(3, -1)) == pytest.approx(sums, abs=1e-12)
+
+    factors = np.random.default_rng(9).standard_normal((6, dense.shape[1]))
+    chosen = film.s > 0.2
+    points = np.einsum("caj,nj->cna", factors.reshape(3, 2, -1), dense[chosen])
+    found_points = smooth.at_points(factors, chosen)
+    assert found_points == pytest.approx(points.reshape(3, -1), abs=1e-12)
+
+    gram = smooth.gram_by_frame(1 / film.sigma)
+    products = smooth.products_with(matern_root(film.times), gram)
+    root = root_at_points(film, np.ones(FRAMES))
+    times_places = root.reshape(len(kept), -1, basis.PLACE_FUNCTIONS)
+    by_place = times_places.transpose(0, 2, 1).reshape(len(kept), -1)
+    expected = dense.T @ by_place
+    assert products == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def test_coefficients_go_back_to_the_functions_that_have_them(film):
+    found = DiscrepancyBasis.for_trial(film, GROWTH)
+    dense = functions_at_points(found)
+    there_and_back = found.whiten @ dense.T @ dense @ found.to_functions
     assert there_and_back == pytest.approx(np.eye(len(found.whiten)), abs=1e-6)
 
 

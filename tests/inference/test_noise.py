@@ -5,20 +5,21 @@ It is separated from motion, and correlated readings count for less.
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from stringcast.stages.inference import discrepancy
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
     place_functions,
     tensor_products,
     time_splines,
 )
-from stringcast.stages.inference.discrepancy import Discrepancy, NoiseBasis
+from stringcast.stages.inference.discrepancy import Discrepancy
+from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis
 from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.noise import (
     WHITE_NOISE,
@@ -196,28 +197,27 @@ def test_what_is_lacking_is_found_where_it_is_under_any_noise(trial):
         assert found == pytest.approx(lacks, abs=0.5)
 
 
-def test_a_basis_is_kept_until_places_times_or_noise_of_a_trial_change(
-    trial, monkeypatch
-):
-    """Corrected points keep the basis; what it depends on makes another one."""
-    basis = NoiseBasis.for_trial(trial)
-    corrected = replace(trial, points=trial.points + 1e-3, sigma=2 * trial.sigma)
-    assert NoiseBasis.for_trial(corrected) is basis
+def test_trials_share_a_basis_unless_places_times_noise_or_growth_differ(trial):
+    """Corrected points have the same basis, as long as anything uses it."""
+    growth = np.ones(FRAMES)
+    basis = DiscrepancyBasis.for_trial(trial, growth)
+    corrected = replace(trial, points=trial.points + 1e-3)
+    assert DiscrepancyBasis.for_trial(corrected, growth) is basis
     changed = [
         replace(trial, noise=Noise(np.eye(PLACE_FUNCTIONS), BEFORE)),
         replace(trial, noise=Noise(2 * np.eye(PLACE_FUNCTIONS), 0.0)),
         replace(trial, s=0.9 * trial.s),
         replace(trial, times=1.1 * trial.times),
+        replace(trial, sigma=2 * trial.sigma),
         trial.select_points(np.arange(len(trial.s)) > 0),
     ]
-    bases = [NoiseBasis.for_trial(each) for each in changed]
-    assert len({id(each) for each in (basis, *bases)}) == 6
-    assert NoiseBasis.for_trial(trial) is basis
+    bases = [DiscrepancyBasis.for_trial(each, growth) for each in changed]
+    bases.append(DiscrepancyBasis.for_trial(trial, np.linspace(0.5, 1.0, FRAMES)))
+    assert len({id(each) for each in (basis, *bases)}) == 8
+    assert DiscrepancyBasis.for_trial(trial, growth) is basis
 
-    monkeypatch.setattr(discrepancy._KEPT_BASES, "size", 2)
-    assert NoiseBasis.for_trial(changed[0]) is bases[0]
-    assert NoiseBasis.for_trial(trial) is basis
-    assert NoiseBasis.for_trial(changed[1]) is not bases[1]
+    before = weakref.ref(bases.pop(0))
+    assert before() is None
 
 
 def test_discrepancies_drawn_at_some_points_are_those_drawn_at_all(trial):

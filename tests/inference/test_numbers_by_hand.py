@@ -17,6 +17,7 @@ from stringcast.stages.inference import (
     search,
 )
 from stringcast.stages.inference.covariance import Covariance
+from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
@@ -523,9 +524,10 @@ def test_the_noise_of_the_first_frames_is_how_far_places_leave_parabolas():
 def test_only_directions_that_points_determine_are_in_a_basis():
     rng = np.random.default_rng(3)
     trial = film(20, 2, rng)
-    trial.noise = WHITE_NOISE
-    found = discrepancy.NoiseBasis.for_trial(trial)
-    gram = (found.splines.T @ found.splines).toarray()
+    trial.noise, trial.sigma = WHITE_NOISE, np.ones(40)
+    found = DiscrepancyBasis.for_trial(trial, np.ones(20))
+    smooth = found.functions
+    gram = smooth.products_with(smooth.in_time, smooth.gram_by_frame(trial.sigma))
     assert len(found.whiten) == np.linalg.matrix_rank(gram, tol=1e-8 * np.max(gram))
     assert len(found.whiten) < len(gram)
     white = found.whiten @ gram @ found.whiten.T
@@ -533,7 +535,8 @@ def test_only_directions_that_points_determine_are_in_a_basis():
     # however large the noise
     for size in (1e-6, 1e6):
         trial.noise = Noise(size * WHITE_NOISE.place_covariance, 0.0)
-        assert len(discrepancy.NoiseBasis.for_trial(trial).whiten) == len(white)
+        scaled = DiscrepancyBasis.for_trial(trial, np.ones(20))
+        assert len(scaled.whiten) == len(white)
 
 
 def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
