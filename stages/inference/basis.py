@@ -153,19 +153,23 @@ class SmoothFunctions:
         np.add.at(gram, self.frame, products)
         return gram
 
-    def products_with(self, other: np.ndarray, gram: np.ndarray) -> np.ndarray:
-        """Sum the functions times others over the points, (K B, K R).
 
-        The others are products of the same functions of place and others of time.
+def sum_products(
+    in_time: np.ndarray, other: np.ndarray, gram: np.ndarray
+) -> np.ndarray:
+    """Sum products of functions of a trial over its points, (K B, K R).
 
-        other: functions of time at the frames, (F, R). gram: as of `gram_by_frame`.
-        """
-        frames, splines = self.in_time.shape
-        places = self.in_place.shape[1]
-        weighted = gram[:, :, :, None] * self.in_time[:, None, None, :]
-        sums = weighted.reshape(frames, -1).T @ other
-        by_place = sums.reshape(places, places, splines, -1).transpose(0, 2, 1, 3)
-        return by_place.reshape(places * splines, -1)
+    Each function is one of time times one of place. All have the same ones of place.
+
+    in_time, other: functions of time at the frames, (F, B) and (F, R). gram: as of
+    `SmoothFunctions.gram_by_frame`, (F, K, K).
+    """
+    frames, splines = in_time.shape
+    places = gram.shape[1]
+    weighted = gram[:, :, :, None] * in_time[:, None, None, :]
+    sums = weighted.reshape(frames, -1).T @ other
+    by_place = sums.reshape(places, places, splines, -1).transpose(0, 2, 1, 3)
+    return np.asarray(by_place.reshape(places * splines, -1))
 
 
 @compile_kernel

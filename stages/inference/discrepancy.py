@@ -151,7 +151,8 @@ class Discrepancy:
         normal = rng.standard_normal((count, 2, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
         offset = self._at_points(scatter, onset, chosen)
-        return self._mean_at_points(coefficients, grid_point, chosen) + offset
+        mean = self._mean_at_points(coefficients, grid_point, chosen)
+        return np.asarray(mean + offset)
 
     def nuisance_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
@@ -168,15 +169,14 @@ class Discrepancy:
         explained = self.nuisance_coefficients @ amplitudes
         turned = basis.turn((coefficients - explained)[None])
         smooth = turned * variance / (1.0 + variance)
-        return self._at_points(smooth, onset, chosen)[0]
+        return np.asarray(self._at_points(smooth, onset, chosen)[0])
 
     def _at_points(
         self, turned: np.ndarray, onset: int, chosen: np.ndarray
     ) -> np.ndarray:
         """Evaluate turned coefficients (C, 2, M) at some points, (C, 2 m)."""
         coefficients = self.basis.at_onset(onset).turn_back(turned)
-        factors = coefficients @ self.basis.to_functions.T
-        return self.basis.functions.at_points(factors, chosen)
+        return self.basis.at_points(coefficients, chosen)
 
     def _nuisance_amplitudes(
         self, coefficients: np.ndarray, grid_point: int
@@ -236,7 +236,7 @@ class _ErrorsOfOnset:
         square = np.sum(turned**2, axis=1) @ precision.T  # (C, S)
         projected = self._project(turned, precision).transpose(2, 0, 1)  # (S, C, m)
         explained = np.sum((projected @ covariance) * projected, axis=2)
-        return -0.5 * (square - explained.T + log_determinant)
+        return np.asarray(-0.5 * (square - explained.T + log_determinant))
 
     def nuisance_amplitudes(
         self, coefficients: np.ndarray, scale_index: int
@@ -253,7 +253,7 @@ class _ErrorsOfOnset:
         x, y = turned[:, None, 0], turned[:, None, 1]
         products = x * self.nuisance[:, 0] + y * self.nuisance[:, 1]  # (C, m, M)
         sums = products.reshape(-1, products.shape[2]) @ precision.T
-        return sums.reshape(*products.shape[:2], len(precision))
+        return np.asarray(sums.reshape(*products.shape[:2], len(precision)))
 
     @cached_property
     def _nuisance_terms(self) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,6 @@ from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.sparse import csr_array
 
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
@@ -58,7 +57,15 @@ class Noise:
         in_time = (1 + self.frame_correlation) / (1 - self.frame_correlation)
         return float(np.trace(self.place_covariance) / PLACE_FUNCTIONS * in_time)
 
-    def covariance(self, time: csr_array, gram_roots: np.ndarray) -> np.ndarray:
+    def filter_in_time(self, values: np.ndarray) -> np.ndarray:
+        """Multiply values (F, N) by L' of the AR(1) process: a filter backwards."""
+        filtered = values.copy()
+        for frame in range(len(values) - 2, -1, -1):
+            filtered[frame] += self.frame_correlation * filtered[frame + 1]
+        filtered[1:] *= np.sqrt(1 - self.frame_correlation**2)
+        return filtered
+
+    def covariance(self, time: np.ndarray, gram_roots: np.ndarray) -> np.ndarray:
         """Compute the covariance (K B, K B) of noise projected on smooth functions.
 
         A projection is a sum over points of noise times a product of functions. With
@@ -71,15 +78,9 @@ class Noise:
         gram_roots
             Roots of the Gram matrices of functions of place, (F, K, K).
         """
-        frames = time.shape[0]
-        correlation = self.frame_correlation
-        products = np.einsum("fij,fb->fijb", gram_roots, time.toarray())
-
-        # L' of the AR(1) process in time: a filter that runs backwards
-        filtered = products.reshape(frames, -1)
-        for frame in range(frames - 2, -1, -1):
-            filtered[frame] += correlation * filtered[frame + 1]
-        filtered[1:] *= np.sqrt(1 - correlation**2)
+        frames = len(time)
+        products = np.einsum("fij,fb->fijb", gram_roots, time)
+        filtered = self.filter_in_time(products.reshape(frames, -1))
 
         # L' of the covariance of functions of place
         place_root = np.linalg.cholesky(self.place_covariance).T

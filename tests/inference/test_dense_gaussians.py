@@ -25,18 +25,32 @@ LATE = 3 * SCALES + SCALE_INDEX  # a grid point that begins in the middle
 GROWTH = np.linspace(0.2, 1.5, FRAMES)
 
 
-@pytest.fixture
-def film():
-    """Return a trial of nine frames, at the knots of the splines."""
+def make_film(times, sigma):
+    """Make a trial of frames at `times` that all show the same places."""
     s = np.linspace(0.05, LENGTH, POINTS)
     return SimpleNamespace(
-        times=2.0 + basis.KNOT_SPACING_S * np.arange(FRAMES),
+        times=times,
         frame=np.repeat(np.arange(FRAMES), POINTS),
         s=np.tile(s, FRAMES),
-        sigma=np.linspace(5e-4, 2e-3, FRAMES * POINTS),
+        sigma=sigma,
         model=SimpleNamespace(string=SimpleNamespace(length=LENGTH)),
         noise=noise.WHITE_NOISE,
     )
+
+
+# Points that are read better in later frames mix time and place
+MIXED_SIGMA_M = np.linspace(5e-4, 2e-3, FRAMES * POINTS)
+# These do not, and there are more frames than splines
+SEPARABLE_SIGMA_M = np.tile(np.linspace(5e-4, 2e-3, POINTS), FRAMES)
+
+
+@pytest.fixture(params=["mixed", "separable"])
+def film(request):
+    """Return a trial of nine frames, at the knots of the splines or twice as dense."""
+    times = basis.KNOT_SPACING_S * np.arange(FRAMES)
+    if request.param == "mixed":
+        return make_film(2.0 + times, MIXED_SIGMA_M)
+    return make_film(2.0 + 0.5 * times, SEPARABLE_SIGMA_M)
 
 
 @pytest.fixture
@@ -151,7 +165,7 @@ def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
     everywhere = np.ones(FRAMES * POINTS, dtype=bool)
     drawn = errors.sample_posterior(np.zeros(count), grid_point, 4000, rng, everywhere)
     left = smooth - smooth @ np.linalg.solve(np.eye(count) + smooth, smooth)
-    to_points = functions_at_points(errors.basis) @ errors.basis.to_functions
+    to_points = functions_at_points(errors.basis) @ errors.basis.noise.to_functions
     half = count // 2
     expected = np.einsum("ni,ij,nj->n", to_points, left[:half, :half], to_points)
     assert drawn.var(axis=0) == pytest.approx(np.repeat(expected, 2), rel=0.15)
@@ -187,6 +201,24 @@ def test_a_discrepancy_is_a_hundredth_before_its_onset(film):
     assert sizes[3] == pytest.approx(expected)
 
 
+def test_time_and_place_separate_where_all_frames_show_the_same_places():
+    times = 2.0 + 0.5 * basis.KNOT_SPACING_S * np.arange(FRAMES)
+    film = make_film(times, SEPARABLE_SIGMA_M)
+    alike = DiscrepancyBasis.for_trial(film, GROWTH)
+    blocks = len(alike.noise.block_variance)
+    assert blocks == basis.PLACE_FUNCTIONS
+    assert len(alike.noise.whiten) == blocks * len(alike.at_onset(2).rotation)
+    # points that are missing, frames read better than others, and too few frames
+    film.sigma = np.repeat(np.linspace(5e-4, 2e-3, FRAMES), POINTS)
+    few_frames = make_film(2 * times, SEPARABLE_SIGMA_M)
+    some = make_film(times, SEPARABLE_SIGMA_M[1:])
+    some.frame, some.s = some.frame[1:], some.s[1:]
+    for other in (film, few_frames, some):
+        joint = DiscrepancyBasis.for_trial(other, GROWTH)
+        assert len(joint.noise.block_variance) == 1
+        assert len(joint.at_onset(2).rotation) == len(joint.noise.whiten)
+
+
 def functions_at_points(found):
     """Multiply functions of time by functions of place at each point, (n, K B)."""
     smooth = found.functions
@@ -213,7 +245,7 @@ def test_sums_over_points_are_those_of_all_products(film):
     assert found_points == pytest.approx(points.reshape(3, -1), abs=1e-12)
 
     gram = smooth.gram_by_frame(1 / film.sigma)
-    products = smooth.products_with(matern_root(film.times), gram)
+    products = basis.sum_products(smooth.in_time, matern_root(film.times), gram)
     root = root_at_points(film, np.ones(FRAMES))
     times_places = root.reshape(len(kept), -1, basis.PLACE_FUNCTIONS)
     by_place = times_places.transpose(0, 2, 1).reshape(len(kept), -1)
@@ -224,8 +256,8 @@ def test_sums_over_points_are_those_of_all_products(film):
 def test_coefficients_go_back_to_the_functions_that_have_them(film):
     found = DiscrepancyBasis.for_trial(film, GROWTH)
     dense = functions_at_points(found)
-    there_and_back = found.whiten @ dense.T @ dense @ found.to_functions
-    assert there_and_back == pytest.approx(np.eye(len(found.whiten)), abs=1e-6)
+    there_and_back = found.noise.whiten @ dense.T @ dense @ found.noise.to_functions
+    assert there_and_back == pytest.approx(np.eye(len(found.noise.whiten)), abs=1e-6)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3])

@@ -144,8 +144,22 @@ def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
     dense = np.kron(toeplitz(BEFORE ** np.arange(FRAMES)), along_string())
     expected = splines.T @ dense @ splines
     assert noise.covariance(
-        time, gram_roots(place, trial.frame, FRAMES)
+        time.toarray(), gram_roots(place, trial.frame, FRAMES)
     ) == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("missing", [0, 5])
+def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
+    """Also where points are missing, so that time and place do not separate."""
+    seen = trial.select_points(np.arange(len(trial.s)) >= missing)
+    noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
+    basis = DiscrepancyBasis.for_trial(replace(seen, noise=noise), np.ones(FRAMES))
+    assert (len(basis.noise.block_variance) > 1) == (missing == 0)
+    in_time = basis.functions.in_time
+    roots = gram_roots(basis.functions.in_place, seen.frame, FRAMES)
+    whiten = basis.noise.whiten
+    covariance = whiten @ noise.covariance(in_time, roots) @ whiten.T
+    assert covariance == pytest.approx(np.eye(len(whiten)), abs=1e-6)
 
 
 def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):

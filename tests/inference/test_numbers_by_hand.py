@@ -527,16 +527,19 @@ def test_only_directions_that_points_determine_are_in_a_basis():
     trial.noise, trial.sigma = WHITE_NOISE, np.ones(40)
     found = DiscrepancyBasis.for_trial(trial, np.ones(20))
     smooth = found.functions
-    gram = smooth.products_with(smooth.in_time, smooth.gram_by_frame(trial.sigma))
-    assert len(found.whiten) == np.linalg.matrix_rank(gram, tol=1e-8 * np.max(gram))
-    assert len(found.whiten) < len(gram)
-    white = found.whiten @ gram @ found.whiten.T
+    by_frame = smooth.gram_by_frame(trial.sigma)
+    gram = basis.sum_products(smooth.in_time, smooth.in_time, by_frame)
+    assert len(found.noise.whiten) == np.linalg.matrix_rank(
+        gram, tol=1e-8 * np.max(gram)
+    )
+    assert len(found.noise.whiten) < len(gram)
+    white = found.noise.whiten @ gram @ found.noise.whiten.T
     assert white == pytest.approx(np.eye(len(white)), abs=1e-4)
     # however large the noise
     for size in (1e-6, 1e6):
         trial.noise = Noise(size * WHITE_NOISE.place_covariance, 0.0)
         scaled = DiscrepancyBasis.for_trial(trial, np.ones(20))
-        assert len(scaled.whiten) == len(white)
+        assert len(scaled.noise.whiten) == len(white)
 
 
 def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
