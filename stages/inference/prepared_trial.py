@@ -10,7 +10,7 @@ import numpy as np
 
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
-from stringcast.stages.inference.content_cache import ContentCache
+from stringcast.stages.content_cache import ContentCache
 from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.initial_state import (
     estimate_initial_state,

@@ -21,6 +21,7 @@ from stringcast.stages.check.consistency.record import (
     Track,
 )
 from stringcast.stages.common import GRAVITY_M_S2
+from stringcast.stages.content_cache import ContentCache
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.engine.threads import compile_kernel
@@ -156,19 +157,18 @@ def predict(
     if in_span.sum() < MIN_FRAMES:
         return None
     moving_t, moving_pose = t[in_span].astype(float), pose[in_span].astype(float)
-    times, nodes = simulate_ladder(
-        length, tuple(set_angles), moving_t.tobytes(), moving_pose.tobytes()
+    # Many corrections change points alone: the same hands are simulated again
+    times, nodes = _KEPT_LADDERS.find_or_make(
+        [moving_t, moving_pose, np.array([length, *set_angles])],
+        lambda: simulate_ladder(length, set_angles, moving_t, moving_pose),
     )
     return Prediction(times, nodes, length, horizon)
 
 
-@lru_cache(maxsize=MAX_KEPT_PREDICTIONS)
 def simulate_ladder(
-    length: float, set_angles: tuple[float, ...], t: bytes, pose: bytes
+    length: float, set_angles: Sequence[float], t: np.ndarray, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulate strings of the ladder in a hand; return `Prediction.t` and `.nodes`.
-
-    Many corrections change points alone, so that the same hands are asked for again.
 
     Parameters
     ----------
@@ -177,10 +177,9 @@ def simulate_ladder(
     set_angles
         As of `predict`.
     t, pose
-        Times (K,) [s] of the hand and its poses (K, 3), as bytes.
+        Times (K,) [s] of the hand and its poses (K, 3).
     """
-    hand_t, hand_pose = np.frombuffer(t), np.frombuffer(pose).reshape(-1, 3)
-    motion = resample_hand_motion(hand_t, hand_pose, TICK_S)
+    motion = resample_hand_motion(t, pose, TICK_S)
     rungs = []
     for set_angle in set_angles:
         string, values = ladder(length, set_angle)
@@ -188,6 +187,11 @@ def simulate_ladder(
     nodes = np.concatenate(rungs)
     nodes.flags.writeable = False
     return motion.times, nodes
+
+
+_KEPT_LADDERS: ContentCache[tuple[np.ndarray, np.ndarray]] = ContentCache(
+    MAX_KEPT_PREDICTIONS
+)
 
 
 class MotionSpan(NamedTuple):
