@@ -54,10 +54,12 @@ def test_an_effect_that_is_drawn_is_found_with_its_size(tmp_path):
     assert_found(document, "clock_drift.rate", cause.parameters["clock_drift.rate"])
 
 
+@pytest.mark.long
 def test_nothing_is_named_where_nothing_is_hidden(diagnose):
     """Nothing is named where nothing is hidden, except perhaps the mesh.
 
-    Ten points of Eq. 1 are too few for this string.
+    Ten points of Eq. 1 are too few for this string. `test_other_simulations` has a
+    quicker test with the whole library.
     """
     document = diagnose({})
     assert {cause["effect"] for cause in document["causes"]} <= {"resolution"}

@@ -45,7 +45,7 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch):
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
-    places, trials = np.arange(8, 81, 8), []
+    places, trials = np.arange(16, 81, 16), []
     for k, angles in enumerate(swing_angles(arm, 2)):
         trials.append(simulate_trial(f"t{k}", arm, real, values, angles, places, rng))
     diagnosis = diagnose_trials(ordinary(arm), trials, 4)

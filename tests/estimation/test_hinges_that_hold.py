@@ -150,7 +150,7 @@ def test_a_law_with_memory_is_recovered_within_its_intervals(model):
         for seed, (aside, back) in enumerate([(1.4, 0.0), (0.7, 0.4), (-1.0, 0.8)])
     ]
     settings = {
-        "starts": 4,
+        "starts": 2,
         "screening": 64,
         "iterations": 12,
         "matching": Matching(20, 2, 3.0, 0.25),

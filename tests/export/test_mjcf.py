@@ -234,6 +234,8 @@ def test_a_card_of_casts_has_the_intervals_that_they_found(called, tmp_path):
     done = called(
         "+experiment=quick",
         "estimate=least_squares",
+        "estimate.starts=2",
+        "camera.fps=25",
         "saved_outputs=[]",
         f"hydra.run.dir={tmp_path / 'run'}",
     )

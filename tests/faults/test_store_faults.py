@@ -207,7 +207,7 @@ for number in count(1):
 def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
     tmp_path,
 ):
-    moments = np.random.default_rng(5).uniform(0.0, 0.05, 4)
+    moments = np.random.default_rng(5).uniform(0.0, 0.05, 2)
     code = WRITER.format(
         root=str(ROOT), tests=str(Path(__file__).parent), folder=str(tmp_path)
     )
