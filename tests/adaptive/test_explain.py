@@ -32,7 +32,6 @@ from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
 from tests.benchmarks.casting.point_executor import PointExecutor, measure_points
 from tests.conftest import implicit_string, specimen, swing
 
@@ -565,7 +564,7 @@ def screened(arm, camera, observe):
     def screen(hidden, effects):
         observation = observe(hidden)
 
-        model = Model(String(0.3, points=20), arm, camera)
+        model = Model(implicit_string(20, 1e-3), arm, camera)
         estimate = true_estimate(model)
         base = Comparison(NO_CAUSE, 0.0, estimate)
         compare = Comparer(model, [observation], base, BLOCKS, fit_model=None, seed=0)
@@ -608,7 +607,7 @@ def test_a_coarse_mesh_compares_effects_without_its_error(
 
     module = "stringcast.stages.explain.comparison"
     monkeypatch.setattr(f"{module}.fit_least_squares", keep_noise)
-    model = Model(String(0.3, points=20), arm, camera)
+    model = Model(implicit_string(20, 1e-3), arm, camera)
     base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
     compare = Comparer(model, [observe({})], base, BLOCKS, fit_model=None, seed=0)
     compare.screened_square(())

@@ -11,13 +11,15 @@ from stringcast.pipeline.settings.typed_settings import bind_stage
 from stringcast.stages.generate.curves import Curves, first_curves, next_curves
 from stringcast.stages.generate.generate import MotionNotFoundError
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 
-STRING = String(0.3)
+# implicit steps, of which few are enough
+STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 SETTINGS = {
     "attempts": 20000,
     "batch": 256,

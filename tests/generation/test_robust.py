@@ -42,13 +42,15 @@ from stringcast.stages.generate.uncertainty_samples import (
     stratified_uniforms,
 )
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_exponents
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 
-STRING = String(0.3)
+# implicit steps, of which few are enough
+STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 TARGET = Target(0.4, 0.7, 0.02, 0.04)
 NONE = PlanningUncertainty(0.0, 0.0, 0.0)
 SETTINGS = {
