@@ -39,7 +39,6 @@ QUICK = {
         "joints 1 and 2 swapped",
         "cm named mm",
         "tracker's stamps doubled",
-        "tracker's stamps turn back",
         "robot's stamps turn back",
         "epoch ns named s",
         "epoch float32",
