@@ -25,6 +25,7 @@ from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.model.effects.clock_drift import ClockDrift
 from stringcast.stages.model.effects.time_offset import TimeOffset
 from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
@@ -38,6 +39,7 @@ FIXED_WITHIN_S = 1e-4  # of an offset that is given
 # a strip that a clamp holds. Within the range of a limp string, a strip is fitted as a
 # rigid pendulum, some 10 ms off.
 CLAMPED_STRIP = {"bending_stiffness": 400.0, "grasp_stiffness": 300.0}
+MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, by a clock that is certain
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
@@ -119,6 +121,28 @@ def fit_clock(
     restarted = fit_from_beginnings(data, fit)
     best = max((fit, restarted), key=lambda each: each.log_evidence)
     return ClockFit(data, best)
+
+
+def fit_drift(clock: ClockFit) -> ClockFit:
+    """Fit a drift of the clocks in addition to the offset, from a fit without it."""
+    model = clock.fit.hypothesis.model.with_effects(ClockDrift)
+    hypothesis = Hypothesis(model)
+    start = hypothesis.exponents_from(clock.fit.exponents)
+    fit = fit_hypothesis(clock.data, hypothesis, start[None], clock.fit.grid_points)
+    return ClockFit(clock.data, fit)
+
+
+def explains_more(fuller: ClockFit, simpler: ClockFit) -> bool:
+    """Return whether a fit with more freedom of the clocks is to be believed.
+
+    It has more evidence, and removes enough of the mean square misfit at the tip: a
+    string that the model does not describe fits a little better with any clock.
+    """
+    before = unexplained_tip_rms(simpler.data, simpler.fit)
+    after = unexplained_tip_rms(fuller.data, fuller.fit)
+    explained = 1 - np.sum(after**2) / np.sum(before**2)
+    has_evidence = fuller.fit.log_evidence > simpler.fit.log_evidence
+    return bool(has_evidence and explained >= MIN_EXPLAINED_FRACTION)
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:

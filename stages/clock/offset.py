@@ -20,10 +20,13 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.fit import (
+    MIN_EXPLAINED_FRACTION,
     ClockFit,
     effect_responses,
     explained_by_offset,
+    explains_more,
     fit_clock,
+    fit_drift,
     profile_offset,
     refit_from,
     shift_observations,
@@ -39,7 +42,6 @@ from stringcast.stages.clock.windows import (
 )
 from stringcast.stages.common import NORMAL_95, Progress, partial_progress
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
-from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
@@ -53,7 +55,6 @@ RIVAL_LOG_LIKELIHOOD = 30.0  # a profile's other peak is refitted if it is so ne
 RIVAL_DISTANCE = 4  # steps of the profile between two peaks
 SIGNIFICANCE = 1e-3  # below, trials do not have the same offset
 MIN_DRIFT = 0.005  # beyond which the whole interval of a drift lies that is named
-MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, by an offset that is certain
 NO_PRIOR = 1e-6  # precision that is as good as none [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
 CLOCK_REMEDY = (
@@ -194,7 +195,7 @@ def fit_clock_offset(
     if together.clock.is_common:
         return together
     apart, joint_fit = _estimate_apart(model, used, rng, progress)
-    if _explain_more(joint_fit, together.fits[0]):
+    if explains_more(joint_fit, together.fits[0]):
         return apart
     return replace(together, clock=replace(together.clock, is_common=True))
 
@@ -415,9 +416,10 @@ def _estimate_drift(
     deviations = posterior.standard_deviation
     offset = Interval.from_deviation(posterior.mean[0], deviations[0], 0.0)
     drift = Interval.from_deviation(posterior.mean[1], deviations[1], 0.0)
-    if max(drift.low, -drift.high) < MIN_DRIFT:
-        return None, offset
-    return drift, offset
+    is_possible = max(drift.low, -drift.high) >= MIN_DRIFT
+    if is_possible and explains_more(fit_drift(clock), clock):
+        return drift, offset
+    return None, offset
 
 
 def _scatter_of_trials(own: BackgroundPosterior) -> float:
@@ -455,19 +457,6 @@ def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
     widening = HALF_WIDTH / NORMAL_95
     square = _differences_of_trials(own, 0.0) / widening**2
     return bool(chdtrc(freedom, square) < SIGNIFICANCE)
-
-
-def _explain_more(own: ClockFit, common: ClockFit) -> bool:
-    """Return whether own offsets of the trials explain what a common one does not.
-
-    They have more evidence, and remove enough of the mean square misfit at the tip: a
-    string that the model does not describe fits a little better at any offset.
-    """
-    before = unexplained_tip_rms(common.data, common.fit)
-    after = unexplained_tip_rms(own.data, own.fit)
-    explained = 1 - np.sum(after**2) / np.sum(before**2)
-    has_evidence = own.fit.log_evidence > common.fit.log_evidence
-    return bool(has_evidence and explained >= MIN_EXPLAINED_FRACTION)
 
 
 def _longest_frame_s(trials: Sequence[CheckedTrial]) -> float:
