@@ -131,7 +131,7 @@ class Discrepancy:
 
         coefficients: of the residual, (2 M,).
         """
-        everywhere = np.ones(len(self.basis.functions.frame), dtype=bool)
+        everywhere = np.ones(len(self.nuisance_shapes) // 2, dtype=bool)
         return self._mean_at_points(coefficients, grid_point, everywhere)
 
     def sample_posterior(

@@ -1,20 +1,10 @@
-"""Smooth motion of a trial: a basis in which noise is white, turned for each onset.
+"""The coefficients of a trial in which its noise is white and its discrepancy diagonal.
 
-A trial is expanded in smooth functions of time and place. A linear map makes noise
-(`noise`) white. What the functions do not reach is noise, and gives its size.
-
-For each onset of a discrepancy the coefficients are turned such that the discrepancy is
-diagonal. Then trying a scale costs nothing. Along the string a discrepancy is a squared
-exponential (0.35 L) that is zero at the grasp, and in time a Matern 3/2. It grows over
-the trial as any small change of the parameters does.
-
-Where all frames show the same places, as well, all covariances are Kronecker products
-of one of place and one of time. What is turned is then only time: matrices of 300 rows
-become some of 50, in a tenth of the memory.
-
-References
-----------
-Saatci 2011, Scalable Inference for Structured Gaussian Process Models, chapter 5.
+In coefficients of smooth functions noise is white (`noise_basis`). For each onset of a
+discrepancy they are turned such that the discrepancy is diagonal. Then trying a scale
+costs nothing. Along the string a discrepancy is a squared exponential (0.35 L) that is
+zero at the grasp, and in time a Matern 3/2. It grows over the trial as any small change
+of the parameters does.
 """
 
 from __future__ import annotations
@@ -29,19 +19,15 @@ from scipy.linalg import eigh
 from stringcast.stages.common import rms
 from stringcast.stages.inference.basis import (
     KNOT_SPACING_S,
-    RANK_TOLERANCE,
-    SmoothFunctions,
     nystrom_root,
-    place_functions,
-    sum_products,
     time_nodes,
-    time_splines,
 )
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     sizes_by_onset,
 )
-from stringcast.stages.inference.noise import MeasuredTrial, Noise, gram_roots
+from stringcast.stages.inference.noise import MeasuredTrial
+from stringcast.stages.inference.noise_basis import NoiseBasis, find_noise_basis
 from stringcast.stages.kept_results import content_digest
 
 MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
@@ -84,101 +70,6 @@ class OnsetBasis:
         return np.asarray(1.0 / (1.0 + variance))
 
 
-@dataclass(frozen=True)
-class NoiseBasis:
-    """Coefficients of smooth functions in which noise is white, M of them.
-
-    They are blocks of m that the discrepancy of any onset treats alike, but for its
-    size. There is one block, or one for each function of place: where all frames show
-    the same places, time and place separate.
-
-    Parameters
-    ----------
-    whiten
-        From sums over points of residuals over sigma times functions to coefficients,
-        (M, K B).
-    to_functions
-        From coefficients back to factors of the functions, (K B, M).
-    whiten_block
-        From sums of a block to its coefficients, (m, K' B).
-    gram
-        Gram matrices in each frame of the functions of place of a block over sigma,
-        (F, K', K').
-    block_variance
-        Relative variance of a discrepancy in each block, (M / m,).
-    """
-
-    whiten: np.ndarray
-    to_functions: np.ndarray
-    whiten_block: np.ndarray
-    gram: np.ndarray
-    block_variance: np.ndarray
-
-    @classmethod
-    def for_trial(cls, trial: MeasuredTrial, functions: SmoothFunctions) -> NoiseBasis:
-        """Find the basis of a trial, by blocks if time and place separate."""
-        gram = functions.gram_by_frame(np.ones(len(trial.s)))
-        over_sigma = functions.gram_by_frame(1 / trial.sigma)
-        roots = gram_roots(functions.in_place, trial.frame, len(trial.times))
-        parts = (trial.noise, functions.in_time, gram, over_sigma, roots)
-        if (gram == gram[0]).all() and (over_sigma == over_sigma[0]).all():
-            return cls._separable(*parts) or cls._joint(*parts)
-        return cls._joint(*parts)
-
-    @classmethod
-    def _joint(
-        cls,
-        noise: Noise,
-        in_time: np.ndarray,
-        gram: np.ndarray,
-        over_sigma: np.ndarray,
-        roots: np.ndarray,
-    ) -> NoiseBasis:
-        """Whiten the noise of all functions together."""
-        values, vectors = eigh(noise.covariance(in_time, roots), driver="evd")
-        kept = values > RANK_TOLERANCE * values[-1]
-        vectors = vectors[:, kept]
-        whiten = (vectors / np.sqrt(values[kept])).T
-        # Coefficients of the directions that the points determine
-        known = whiten @ sum_products(in_time, in_time, gram) @ vectors
-        to_functions = np.linalg.solve(known.T, vectors.T).T
-        return cls(whiten, to_functions, whiten, over_sigma, np.ones(1))
-
-    @classmethod
-    def _separable(
-        cls,
-        noise: Noise,
-        in_time: np.ndarray,
-        gram: np.ndarray,
-        over_sigma: np.ndarray,
-        roots: np.ndarray,
-    ) -> NoiseBasis | None:
-        """Whiten the noise in time and in place; None where points do not determine it.
-
-        All frames show the same places: only the first of them counts.
-        """
-        filtered = noise.filter_in_time(in_time)
-        values, vectors = eigh(filtered.T @ filtered)
-        of_place = roots[0] @ noise.place_covariance @ roots[0]
-        place_values = eigh(of_place, eigvals_only=True)
-        smallest = values[0] * place_values[0]
-        if smallest <= RANK_TOLERANCE * values[-1] * place_values[-1]:
-            return None
-
-        # Functions of place in which also the discrepancy is diagonal
-        variance, axes = eigh(over_sigma[0] @ over_sigma[0].T, of_place)
-        in_time_white = (vectors / np.sqrt(values)).T
-        time_to_functions = np.linalg.inv(in_time_white @ in_time.T @ in_time)
-        place_to_functions = np.linalg.inv(axes.T @ gram[0])
-        return cls(
-            np.kron(axes.T, in_time_white),
-            np.kron(place_to_functions, time_to_functions),
-            in_time_white,
-            np.ones((len(in_time), 1, 1)),
-            np.maximum(variance, 0.0),
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class DiscrepancyBasis:
     """Smooth functions of a trial, and coefficients for each onset of a discrepancy.
@@ -188,9 +79,7 @@ class DiscrepancyBasis:
 
     Parameters
     ----------
-    functions
-        Smooth functions at the measured points, K B of them.
-    noise
+    noise_basis
         In whose M coefficients noise is white.
     time_root
         A root of the discrepancy's covariance in time, (F, R).
@@ -198,8 +87,7 @@ class DiscrepancyBasis:
         Relative size of a discrepancy of each onset at each frame, (W, F).
     """
 
-    functions: SmoothFunctions
-    noise: NoiseBasis
+    noise_basis: NoiseBasis
     time_root: np.ndarray
     sizes: np.ndarray
 
@@ -219,25 +107,14 @@ class DiscrepancyBasis:
         )
         basis = _BASES_IN_USE.get(key)
         if basis is None:
-            basis = cls._make(trial, growth)
+            sizes = sizes_by_onset(trial.times, growth)
+            basis = cls(find_noise_basis(trial), matern_root(trial.times), sizes)
             _BASES_IN_USE[key] = basis
         return basis
 
-    @classmethod
-    def _make(cls, trial: MeasuredTrial, growth: np.ndarray) -> DiscrepancyBasis:
-        in_time = time_splines(trial.times).toarray()
-        in_place = place_functions(trial.s, trial.model.string.length)
-        functions = SmoothFunctions(in_time, in_place, trial.frame)
-        return cls(
-            functions,
-            NoiseBasis.for_trial(trial, functions),
-            matern_root(trial.times),
-            sizes_by_onset(trial.times, growth),
-        )
-
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """Expand residuals over sigma (C, 2 n), (C, 2 M); those of x come first."""
-        by_axis = self.functions.sums(residual) @ self.noise.whiten.T
+        by_axis = self.noise_basis.coefficients(residual)
         return np.asarray(by_axis.reshape(len(residual), 2 * by_axis.shape[1]))
 
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -245,9 +122,8 @@ class DiscrepancyBasis:
 
         chosen: a mask of the m points, (n,).
         """
-        by_axis = coefficients.reshape(-1, len(self.noise.whiten))
-        factors = by_axis @ self.noise.to_functions.T
-        return self.functions.at_points(factors, chosen)
+        by_axis = coefficients.reshape(2 * len(coefficients), -1)
+        return self.noise_basis.at_points(by_axis, chosen)
 
     def at_onset(self, onset: int) -> OnsetBasis:
         """Turn the basis for an onset, once."""
@@ -262,13 +138,11 @@ class DiscrepancyBasis:
     def _turn_for(self, onset: int) -> OnsetBasis:
         size = self.sizes[onset]
         # A trial that cannot be simulated has no growth
-        mean_size = max(rms(size), np.finfo(float).tiny)
-        noise = self.noise
-        gram = noise.gram * (size / mean_size)[:, None, None]
-        sums = sum_products(self.functions.in_time, self.time_root, gram)
-        root = noise.whiten_block @ sums
+        unit_size = size / max(rms(size), np.finfo(float).tiny)
+        root = self.noise_basis.discrepancy_root(unit_size[:, None] * self.time_root)
         variance, rotation = eigh(root @ root.T, driver="evd")
-        variances = np.outer(noise.block_variance, np.maximum(variance, 0.0))
+        by_block = self.noise_basis.block_variance
+        variances = np.outer(by_block, np.maximum(variance, 0.0))
         return OnsetBasis(rotation, variances.ravel())
 
 

@@ -17,6 +17,11 @@ from stringcast.stages.inference.discrepancy_grid import (
     most_likely_grid_point,
     sizes_by_onset,
 )
+from stringcast.stages.inference.noise_basis import (
+    JointNoiseBasis,
+    SeparableNoiseBasis,
+    find_noise_basis,
+)
 
 FRAMES, POINTS, LENGTH = 9, 6, 0.3
 SCALES = len(DISCREPANCY_SCALES_M)
@@ -165,8 +170,9 @@ def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
     everywhere = np.ones(FRAMES * POINTS, dtype=bool)
     drawn = errors.sample_posterior(np.zeros(count), grid_point, 4000, rng, everywhere)
     left = smooth - smooth @ np.linalg.solve(np.eye(count) + smooth, smooth)
-    to_points = functions_at_points(errors.basis) @ errors.basis.noise.to_functions
     half = count // 2
+    units = np.eye(count)[:half]  # of x
+    to_points = errors.basis.at_points(units, everywhere)[:, ::2].T
     expected = np.einsum("ni,ij,nj->n", to_points, left[:half, :half], to_points)
     assert drawn.var(axis=0) == pytest.approx(np.repeat(expected, 2), rel=0.15)
     x, y = drawn[:, ::2], drawn[:, 1::2]
@@ -205,9 +211,7 @@ def test_time_and_place_separate_where_all_frames_show_the_same_places():
     times = 2.0 + 0.5 * basis.KNOT_SPACING_S * np.arange(FRAMES)
     film = make_film(times, SEPARABLE_SIGMA_M)
     alike = DiscrepancyBasis.for_trial(film, GROWTH)
-    blocks = len(alike.noise.block_variance)
-    assert blocks == basis.PLACE_FUNCTIONS
-    assert len(alike.noise.whiten) == blocks * len(alike.at_onset(2).rotation)
+    assert isinstance(alike.noise_basis, SeparableNoiseBasis)
     # points that are missing, frames read better than others, and too few frames
     film.sigma = np.repeat(np.linspace(5e-4, 2e-3, FRAMES), POINTS)
     few_frames = make_film(2 * times, SEPARABLE_SIGMA_M)
@@ -215,13 +219,11 @@ def test_time_and_place_separate_where_all_frames_show_the_same_places():
     some.frame, some.s = some.frame[1:], some.s[1:]
     for other in (film, few_frames, some):
         joint = DiscrepancyBasis.for_trial(other, GROWTH)
-        assert len(joint.noise.block_variance) == 1
-        assert len(joint.at_onset(2).rotation) == len(joint.noise.whiten)
+        assert isinstance(joint.noise_basis, JointNoiseBasis)
 
 
-def functions_at_points(found):
+def functions_at_points(smooth):
     """Multiply functions of time by functions of place at each point, (n, K B)."""
-    smooth = found.functions
     in_time = smooth.in_time[smooth.frame]
     products = np.einsum("nk,nb->nkb", smooth.in_place, in_time)
     return products.reshape(len(in_time), -1)
@@ -231,9 +233,8 @@ def test_sums_over_points_are_those_of_all_products(film):
     """Also where frames have fewer points, in any order."""
     kept = np.random.default_rng(7).permutation(FRAMES * POINTS)[:-11]
     film.frame, film.s, film.sigma = film.frame[kept], film.s[kept], film.sigma[kept]
-    found = DiscrepancyBasis.for_trial(film, GROWTH)
-    smooth = found.functions
-    dense = functions_at_points(found)
+    smooth = find_noise_basis(film).functions
+    dense = functions_at_points(smooth)
     values = np.random.default_rng(8).standard_normal((3, len(kept), 2))
     sums = np.einsum("cna,nj->caj", values, dense).reshape(6, -1)
     assert smooth.sums(values.reshape(3, -1)) == pytest.approx(sums, abs=1e-12)
@@ -253,11 +254,12 @@ def test_sums_over_points_are_those_of_all_products(film):
     assert products == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
-def test_coefficients_go_back_to_the_functions_that_have_them(film):
-    found = DiscrepancyBasis.for_trial(film, GROWTH)
-    dense = functions_at_points(found)
-    there_and_back = found.noise.whiten @ dense.T @ dense @ found.noise.to_functions
-    assert there_and_back == pytest.approx(np.eye(len(found.noise.whiten)), abs=1e-6)
+def test_coefficients_come_back_from_the_points_that_have_them(film):
+    errors = DiscrepancyBasis.for_trial(film, GROWTH)
+    count = errors.coefficients(np.zeros((1, 2 * len(film.s)))).shape[1]
+    everywhere = np.ones(len(film.s), dtype=bool)
+    there_and_back = errors.coefficients(errors.at_points(np.eye(count), everywhere))
+    assert there_and_back == pytest.approx(np.eye(count), abs=1e-6)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3])

@@ -28,6 +28,7 @@ from stringcast.stages.inference.noise import (
     gram_roots,
     noise_track,
 )
+from stringcast.stages.inference.noise_basis import JointNoiseBasis, find_noise_basis
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
@@ -151,15 +152,23 @@ def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
 @pytest.mark.parametrize("missing", [0, 5])
 def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
     """Also where points are missing, so that time and place do not separate."""
-    seen = trial.select_points(np.arange(len(trial.s)) >= missing)
+    kept = np.arange(len(trial.s)) >= missing
+    seen = trial.select_points(kept)
+    in_place = place_functions(seen.s, 0.3)
+    roots = gram_roots(in_place, seen.frame, FRAMES)
     noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
-    basis = DiscrepancyBasis.for_trial(replace(seen, noise=noise), np.ones(FRAMES))
-    assert (len(basis.noise.block_variance) > 1) == (missing == 0)
-    in_time = basis.functions.in_time
-    roots = gram_roots(basis.functions.in_place, seen.frame, FRAMES)
-    whiten = basis.noise.whiten
-    covariance = whiten @ noise.covariance(in_time, roots) @ whiten.T
-    assert covariance == pytest.approx(np.eye(len(whiten)), abs=1e-6)
+    basis = find_noise_basis(replace(seen, noise=noise))
+    assert isinstance(basis, JointNoiseBasis) == (missing > 0)
+
+    # Residuals of x whose covariance in smooth functions is that of the noise
+    in_time = time_splines(T)
+    splines = tensor_products(in_time[seen.frame], in_place).toarray()
+    values, vectors = np.linalg.eigh(noise.covariance(in_time.toarray(), roots))
+    sums = vectors * np.sqrt(values)
+    residuals = np.zeros((len(values), len(seen.s), 2))
+    residuals[:, :, 0] = (splines @ np.linalg.solve(splines.T @ splines, sums)).T
+    of_x = basis.coefficients(residuals.reshape(len(values), -1))[::2]
+    assert of_x.T @ of_x == pytest.approx(np.eye(of_x.shape[1]), abs=1e-5)
 
 
 def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):

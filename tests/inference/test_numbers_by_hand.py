@@ -17,11 +17,11 @@ from stringcast.stages.inference import (
     search,
 )
 from stringcast.stages.inference.covariance import Covariance
-from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.noise import WHITE_NOISE, Noise
+from stringcast.stages.inference.noise_basis import find_noise_basis
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
@@ -525,21 +525,18 @@ def test_only_directions_that_points_determine_are_in_a_basis():
     rng = np.random.default_rng(3)
     trial = film(20, 2, rng)
     trial.noise, trial.sigma = WHITE_NOISE, np.ones(40)
-    found = DiscrepancyBasis.for_trial(trial, np.ones(20))
+    found = find_noise_basis(trial)
     smooth = found.functions
     by_frame = smooth.gram_by_frame(trial.sigma)
     gram = basis.sum_products(smooth.in_time, smooth.in_time, by_frame)
-    assert len(found.noise.whiten) == np.linalg.matrix_rank(
-        gram, tol=1e-8 * np.max(gram)
-    )
-    assert len(found.noise.whiten) < len(gram)
-    white = found.noise.whiten @ gram @ found.noise.whiten.T
+    assert len(found.whiten) == np.linalg.matrix_rank(gram, tol=1e-8 * np.max(gram))
+    assert len(found.whiten) < len(gram)
+    white = found.whiten @ gram @ found.whiten.T
     assert white == pytest.approx(np.eye(len(white)), abs=1e-4)
     # however large the noise
     for size in (1e-6, 1e6):
         trial.noise = Noise(size * WHITE_NOISE.place_covariance, 0.0)
-        scaled = DiscrepancyBasis.for_trial(trial, np.ones(20))
-        assert len(scaled.noise.whiten) == len(white)
+        assert len(find_noise_basis(trial).whiten) == len(white)
 
 
 def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
