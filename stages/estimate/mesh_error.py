@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stringcast.stages.inference.huber import huber_loss
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import EXTRAPOLATED_MESHES, refine_mesh
 from stringcast.stages.inference.mesh_limit import refine_at_mesh_limit
@@ -31,7 +32,7 @@ def solve_at_mesh_limit(
 ) -> tuple[Likelihood, np.ndarray]:
     """Find the parameters (P,) of the string itself from those of it on its mesh.
 
-    The solution stays as it is if the corrected one leaves more noise.
+    The solution stays as it is if the corrected one leaves more.
 
     Returns the likelihood of the corrected points and the exponents there.
     """
@@ -41,10 +42,28 @@ def solve_at_mesh_limit(
     start = refine_exponents(on_finest, chi, FINE_ITERATIONS)
 
     at_limit, best = refine_at_mesh_limit(on_mesh, start)
-    noise = np.mean(np.log(at_limit.noise_scales))
-    if at_limit is on_mesh or noise > np.mean(np.log(on_mesh.noise_scales)):
+    if at_limit is on_mesh:
+        return on_mesh, chi
+    same_noise = with_noise_of(at_limit, on_mesh)
+    if mean_loss(same_noise, best) > mean_loss(on_mesh, chi):
         return on_mesh, chi
     return at_limit, best
+
+
+def with_noise_of(likelihood: Likelihood, other: Likelihood) -> Likelihood:
+    """Return a likelihood whose trials have the noise scales of those of another."""
+    trials = []
+    for trial, scale in zip(likelihood.data.trials, other.noise_scales, strict=True):
+        errors = trial.error_model
+        assert isinstance(errors, IndependentErrors)
+        trials.append(replace(trial, error_model=replace(errors, scale=scale)))
+    return likelihood.with_trials(trials)
+
+
+def mean_loss(likelihood: Likelihood, chi: np.ndarray) -> float:
+    """Compute the loss that least squares minimises, at exponents (P,)."""
+    residual = likelihood.residuals(chi[None])
+    return float(huber_loss(residual, likelihood.limit)[0])
 
 
 def subtract_uncertain_error(

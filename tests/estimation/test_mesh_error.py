@@ -70,3 +70,14 @@ def test_data_of_the_mesh_itself_are_not_corrected(monkeypatch):
     kept, same = solve_at_mesh_limit(likelihood, chi)
     assert kept is likelihood
     assert same is chi
+
+
+@pytest.mark.parametrize("name", ["A", "B", "C", "D"])
+def test_the_stiffness_is_that_of_the_string_itself(name):
+    """A slow swing loses nine tenths of what the mesh has moved it by."""
+    far_finer = test_mesh_limit.FAR_FINER
+    likelihood, chi, truth = test_mesh_limit.fit_slow_swing(far_finer, name)
+    corrected, best = solve_at_mesh_limit(likelihood, chi)
+    assert corrected is not likelihood
+    stiffness = corrected.model.names.index("bending_stiffness")
+    assert abs(best - truth)[stiffness] < 0.1 * abs(chi - truth)[stiffness]
