@@ -12,6 +12,7 @@ from conftest import ordinary
 from synthetic_trials import SWING, diagnose_trials, sample_curve, simulate_trial
 
 from stringcast.stages.model.effects.tip_mass import TipMass
+from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 
 TRUTH = ORDINARY | {
     "bending_stiffness": 6.0,
@@ -22,8 +23,9 @@ TRUTH = ORDINARY | {
 
 @pytest.fixture(scope="module")
 def chain(arm):
-    """Return the paper's string: ten equal points."""
-    return ordinary(arm)
+    """Return the paper's string: ten equal points, with implicit steps."""
+    model = ordinary(arm)
+    return replace(model, string=replace(model.string, integrator=ImplicitLeapfrog()))
 
 
 def diagnose_swings(arm, configured, true_model, values, seed):
