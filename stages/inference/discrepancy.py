@@ -44,7 +44,7 @@ MIN_FREE_SHARE = 0.2
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """What residuals of one trial may be, in M coefficients for each coordinate.
+    """A model of the errors of one trial, in M coefficients for each coordinate.
 
     Coefficients (C, 2 M) hold those of x first.
 
