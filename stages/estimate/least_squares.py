@@ -22,10 +22,6 @@ from stringcast.stages.estimate.matching import (
     matching_rate,
     matching_targets,
 )
-from stringcast.stages.estimate.mesh_error import (
-    solve_at_mesh_limit,
-    subtract_uncertain_error,
-)
 from stringcast.stages.estimate.posterior import sample_posterior, share_of_blocks
 from stringcast.stages.estimate.result import (
     Candidates,
@@ -44,6 +40,10 @@ from stringcast.stages.inference.covariance import (
 )
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
+from stringcast.stages.inference.mesh_limit import (
+    refine_at_mesh_limit,
+    subtract_uncertain_error,
+)
 from stringcast.stages.inference.search import (
     refine_solution,
     screen_candidates,
@@ -119,7 +119,7 @@ def estimate(
     best = search_parameters(likelihood, chosen, iterations, progress, known)
     likelihood, best = refine_solution(likelihood, best)
     on_mesh = likelihood
-    likelihood, best = solve_at_mesh_limit(on_mesh, best)
+    likelihood, best = refine_at_mesh_limit(on_mesh, best)
     is_at_limit = likelihood is not on_mesh
 
     compared = likelihood.data.trials

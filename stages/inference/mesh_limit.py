@@ -4,8 +4,13 @@ A mesh errs in the same way throughout a slow trial. A fit takes that for parame
 looks at strings A to D with 20 points, the bending stiffness came out 1 to 50 % off, at
 many times its standard error. So the error of the mesh at a solution is subtracted from
 the measured points, the solution is refined, and so on until the error stays the same
-(deferred correction). What is uncertain of the error keeps its shape and has an unknown
-amplitude.
+(deferred correction). This begins at the solution on a far finer mesh. From the one on
+the mesh itself, the correction of a soft string ends elsewhere: of string D, which
+bends over a segment, it left twice the noise.
+
+An error has a part that three meshes agree on. The rest has a known shape and an
+unknown amplitude, about which the trial itself says most. Where a string whips, the
+rest may be larger than all else that is left of a trial.
 
 References
 ----------
@@ -20,7 +25,12 @@ import numpy as np
 
 from stringcast.stages.inference.huber import huber_loss
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh import extrapolate_errors
+from stringcast.stages.inference.mesh import (
+    EXTRAPOLATED_MESHES,
+    extrapolate_errors,
+    refine_mesh,
+)
+from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import (
     refine_exponents,
     with_refined_initial_states,
@@ -28,6 +38,7 @@ from stringcast.stages.inference.search import (
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.inference.whitening import IndependentErrors
 
+FINE_ITERATIONS = 3  # on the finest mesh: more move no correction's end
 MAX_CORRECTIONS = 12  # strings that the mesh resolves take three to nine
 CORRECTION_ITERATIONS = 3  # of the parameters, between two corrections
 # Corrections in which the change of the error must fall: it may grow for one or two of
@@ -51,7 +62,7 @@ def refine_at_mesh_limit(
     measured = [trial.points for trial in likelihood.data.trials]
     subtracted = [np.zeros_like(points) for points in measured]
     plain = corrected = likelihood  # without and with what is uncertain of the error
-    best = chi
+    best = _refine_on_finest_mesh(likelihood, chi)
     changes: list[float] = []  # of all residuals by each correction, sums of squares
     for _ in range(MAX_CORRECTIONS):
         trials = plain.data.trials
@@ -82,6 +93,46 @@ def refine_at_mesh_limit(
     if _loss_at_noise(corrected, likelihood.noise_scales, best) < loss:
         return corrected, best
     return likelihood, chi
+
+
+def subtract_uncertain_error(
+    at_limit: Likelihood, chi: np.ndarray
+) -> list[PreparedTrial]:
+    """Subtract the most likely uncertain error at exponents (P,) from measured points.
+
+    at_limit: of `refine_at_mesh_limit`, whose points are without the certain error. The
+    shape of the uncertain one is the last of each trial's nuisance.
+    """
+    trials = []
+    residuals = at_limit.data.residuals(at_limit.model, chi[None])
+    for trial, residual in zip(at_limit.data.trials, residuals, strict=True):
+        errors = trial.error_model
+        assert isinstance(errors, IndependentErrors)
+        assert errors.nuisance is not None
+        shapes = errors.nuisance  # over sigma, (2 n, M)
+        scaled = residual[0] / errors.scale
+        amplitudes = likely_amplitudes(shapes / errors.scale, scaled)
+        uncertain = (amplitudes[-1] * shapes[:, -1]).reshape(-1, 2)  # over sigma
+        points = trial.points + uncertain * trial.sigma[:, None]
+        trials.append(replace(trial, points=points))
+    return trials
+
+
+def likely_amplitudes(shapes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Find the most likely amplitudes (M,) of shapes (N, M) in a residual (N,).
+
+    Before it, amplitudes are N(0, 1); noise is N(0, 1) as well.
+    """
+    precision = np.eye(shapes.shape[1]) + shapes.T @ shapes
+    return np.linalg.solve(precision, shapes.T @ residual)
+
+
+def _refine_on_finest_mesh(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
+    """Refine exponents (P,) on the finest mesh from which errors are extrapolated."""
+    finest = max(EXTRAPOLATED_MESHES)
+    model, trials = refine_mesh(likelihood.model, likelihood.data.trials, finest)
+    on_finest = replace(likelihood.with_trials(trials), model=model)
+    return refine_exponents(on_finest, chi, FINE_ITERATIONS)
 
 
 def _with_uncertain_errors(

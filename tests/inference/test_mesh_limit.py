@@ -1,17 +1,27 @@
 """A solution at the limit of the mesh is that of the string itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from stringcast.data.artifacts import JOINTS
+from stringcast.stages.common import rms
 from stringcast.stages.inference.covariance import linearise, parameter_covariance
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh_limit import refine_at_mesh_limit
+from stringcast.stages.inference.mesh_limit import (
+    likely_amplitudes,
+    refine_at_mesh_limit,
+    subtract_uncertain_error,
+)
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import refine_solution
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.whitening import IndependentErrors
+from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_exponents
+from tests.estimation.test_estimate import STRING, TRUTH, observed
 from tests.inference.estimation_sets import (
     END,
     NOISE,
@@ -26,7 +36,7 @@ START_RAD = (0.6, -0.4, -0.3)
 SWING_RAD = 0.15  # of each joint: the hand moves at 0.5 m/s
 
 
-def fit_slow_swing(chain, name):
+def fit_slow_swing(chain, name, swing_rad=SWING_RAD):
     """Fit the coarse mesh to a slow swing of one of the lab's strings.
 
     Returns the likelihood, its solution and the true exponents.
@@ -36,7 +46,7 @@ def fit_slow_swing(chain, name):
     log = {"t": t}
     for number, joint in enumerate(JOINTS):
         swing = np.sin((5 + number) * t) ** 2
-        log[joint] = START_RAD[number] + SWING_RAD * swing
+        log[joint] = START_RAD[number] + swing_rad * swing
     rng = np.random.default_rng(0)
     trial = observe_cast("look", chain, truth, pd.DataFrame(log), rng, NOISE)
     trials = (prepare_trial(COARSE, trial),)
@@ -78,3 +88,38 @@ def test_what_is_measured_of_the_mesh_itself_is_not_corrected():
     corrected, best = refine_at_mesh_limit(likelihood, chi)
     assert corrected is likelihood
     assert best is chi
+
+
+def test_a_correction_of_a_soft_string_begins_on_a_finer_mesh():
+    """From the solution on the mesh itself, it left a quarter more."""
+    likelihood, chi, _ = fit_slow_swing(FAR_FINER, "D", swing_rad=0.4)
+    corrected, _ = refine_at_mesh_limit(likelihood, chi)
+    assert corrected.noise_scales[0] < 0.64 * likelihood.noise_scales[0]
+
+
+def test_amplitudes_are_those_of_a_regression_with_a_normal_prior():
+    """Two shapes of 4 and 1 sigma at one number each: shares of 16/17 and 1/2."""
+    shapes = np.array([[4.0, 0.0], [0.0, 1.0]])
+    found = likely_amplitudes(shapes, np.array([8.5, 3.0]))
+    np.testing.assert_allclose(found, [2.0, 1.5])
+
+
+@pytest.mark.parametrize("amplitude", [-1.5, 0.0, 1.0])
+def test_an_uncertain_error_is_subtracted_as_far_as_the_trial_shows_it(
+    arm, camera, amplitude
+):
+    """Another shape, such as of an initial state, stays in the points."""
+    model = Model(STRING, arm, camera)
+    trial = prepare_trial(model, observed(3))
+    progress = np.linspace(0, 1, len(trial.points))
+    uncertain_m = 0.01 * np.stack([progress**2, progress], axis=1)
+    other_m = 0.005 * np.stack([np.cos(9 * progress), np.sin(9 * progress)], axis=1)
+    shapes = [(m / trial.sigma[:, None]).ravel() for m in (other_m, uncertain_m)]
+    errors = IndependentErrors(scale=1.0, nuisance=np.stack(shapes, axis=1))
+    # the residual is simulated less measured
+    points = trial.points - amplitude * uncertain_m - 0.7 * other_m
+    shifted = replace(trial, points=points, error_model=errors)
+    likelihood = Likelihood(TrialData((shifted,)), model)
+    (found,) = subtract_uncertain_error(likelihood, model.exponents_of_values(TRUTH))
+    left = found.points - (trial.points - 0.7 * other_m)
+    assert rms(left) < 0.1e-3
