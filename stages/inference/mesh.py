@@ -31,7 +31,7 @@ def mesh_ladder(likelihood: Likelihood) -> list[Likelihood]:
     """List the same trials on coarser and coarser meshes, the given one first."""
     ladder = [likelihood]
     while ladder[-1].model.string.points - 1 >= 2 * MIN_SEGMENTS - 1:
-        ladder.append(_likelihood_on_mesh(likelihood, 0.5 ** len(ladder)))
+        ladder.append(likelihood_on_mesh(likelihood, 0.5 ** len(ladder)))
     return ladder
 
 
@@ -88,7 +88,7 @@ def resolved_frames(
 def _errors_by_trial(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
     """Compute simulated less far finer simulated points of each trial, (n, 2) [m]."""
     values = parameter_values(likelihood.parameters, chi[None])
-    reference = _likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
+    reference = likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
     coarse, fine = (
         measured_points(each.model, each.data.trials, values)
         for each in (likelihood, reference)
@@ -186,6 +186,7 @@ def residuals_on_meshes(
     return by_mesh
 
 
-def _likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
+def likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
+    """Divide the strings of a likelihood into `factor` times the segments."""
     model, trials = refine_mesh(likelihood.model, likelihood.data.trials, factor)
     return replace(likelihood.with_trials(trials), model=model)

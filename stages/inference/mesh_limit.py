@@ -4,13 +4,14 @@ A mesh errs in the same way throughout a slow trial. A fit takes that for parame
 looks at strings A to D with 20 points, the bending stiffness came out 1 to 50 % off, at
 many times its standard error. So the error of the mesh at a solution is subtracted from
 the measured points, the solution is refined, and so on until the error stays the same
-(deferred correction). This begins at the solution on a far finer mesh. From the one on
-the mesh itself, the correction of a soft string ends elsewhere: of string D, which
-bends over a segment, it left twice the noise.
+(deferred correction). The first error is that at the solution on a far finer mesh.
+Where a soft string begins at the solution on its own mesh, the corrections end
+elsewhere: string D, which bends over the length of a segment, was left with twice the
+noise.
 
-An error has a part that three meshes agree on. The rest has a known shape and an
-unknown amplitude, about which the trial itself says most. Where a string whips, the
-rest may be larger than all else that is left of a trial.
+Three meshes agree on a part of the error. The uncertain rest has a known shape and an
+unknown amplitude, which is estimated from the trial. Where a string whips, this rest
+may be the largest part of the misfit.
 
 References
 ----------
@@ -28,7 +29,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
     EXTRAPOLATED_MESHES,
     extrapolate_errors,
-    refine_mesh,
+    likelihood_on_mesh,
 )
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import (
@@ -38,7 +39,7 @@ from stringcast.stages.inference.search import (
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.inference.whitening import IndependentErrors
 
-FINE_ITERATIONS = 3  # on the finest mesh: more move no correction's end
+FINE_ITERATIONS = 3  # on the finest mesh; more do not change the corrected solution
 MAX_CORRECTIONS = 12  # strings that the mesh resolves take three to nine
 CORRECTION_ITERATIONS = 3  # of the parameters, between two corrections
 # Corrections in which the change of the error must fall: it may grow for one or two of
@@ -54,8 +55,9 @@ def refine_at_mesh_limit(
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
 
-    The solution stays as it is if the corrected one leaves more. Where a string whips,
-    no mesh shows what it does. Data of a chain of mass points are those of its mesh.
+    The solution stays as it is if the corrected one leaves a larger misfit: where a
+    string whips, no mesh shows what it does, and data of a chain of mass points are
+    those of its mesh.
 
     Returns the likelihood of the corrected points and the exponents there.
     """
@@ -66,8 +68,9 @@ def refine_at_mesh_limit(
     changes: list[float] = []  # of all residuals by each correction, sums of squares
     for _ in range(MAX_CORRECTIONS):
         trials = plain.data.trials
-        found, uncertainties = extrapolate_errors(plain.model, trials, best)
-        errors = [np.nan_to_num(error) for error in found]  # (n, 2) [m] of each trial
+        extrapolated, uncertainties = extrapolate_errors(plain.model, trials, best)
+        # (n, 2) [m] of each trial; none where a simulation diverges
+        errors = [np.nan_to_num(error) for error in extrapolated]
         moved = []
         differences = []  # of the residuals over sigma, (1, 2 n) of each trial
         for number, trial in enumerate(trials):
@@ -121,7 +124,7 @@ def subtract_uncertain_error(
 def likely_amplitudes(shapes: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Find the most likely amplitudes (M,) of shapes (N, M) in a residual (N,).
 
-    Before it, amplitudes are N(0, 1); noise is N(0, 1) as well.
+    Amplitudes are N(0, 1) a priori, and so is the noise of each number.
     """
     precision = np.eye(shapes.shape[1]) + shapes.T @ shapes
     return np.linalg.solve(precision, shapes.T @ residual)
@@ -129,9 +132,7 @@ def likely_amplitudes(shapes: np.ndarray, residual: np.ndarray) -> np.ndarray:
 
 def _refine_on_finest_mesh(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
     """Refine exponents (P,) on the finest mesh from which errors are extrapolated."""
-    finest = max(EXTRAPOLATED_MESHES)
-    model, trials = refine_mesh(likelihood.model, likelihood.data.trials, finest)
-    on_finest = replace(likelihood.with_trials(trials), model=model)
+    on_finest = likelihood_on_mesh(likelihood, max(EXTRAPOLATED_MESHES))
     return refine_exponents(on_finest, chi, FINE_ITERATIONS)
 
 

@@ -406,7 +406,7 @@ def test_the_error_of_a_mesh_is_the_distance_from_a_finer_one(monkeypatch):
         np.array([[[12.0, 5.0]]]),
     ]
     fine = SimpleNamespace(model="fine", data=SimpleNamespace(trials=trials))
-    monkeypatch.setattr(mesh, "_likelihood_on_mesh", lambda likelihood, factor: fine)
+    monkeypatch.setattr(mesh, "likelihood_on_mesh", lambda likelihood, factor: fine)
     monkeypatch.setattr(
         mesh,
         "measured_points",
