@@ -124,7 +124,7 @@ def fit_hypothesis(
     starts
         Exponents, (C, P).
     grid_points
-        Courses to start with, (K,).
+        The onset and scale of each discrepancy to start with, (K,).
     min_gain
         A step that gains less of the log-likelihood ends its turn.
     """

@@ -1,10 +1,10 @@
 """Coefficients of a trial's smooth motion in which its noise is white.
 
-What smooth functions of time and place do not reach is noise, and gives its size.
+Noise beyond these functions is not expanded: its size is estimated before (`noise`).
 
-Where all frames show the same places, as well, the covariances of noise and discrepancy
-are Kronecker products of one of place and one of time. Matrices of 300 rows are then
-replaced by some of 50.
+Where all frames show the same places, the covariances of noise and discrepancy are
+Kronecker products of one of place and one of time. Two small matrices, of at most 6 and
+some 60 rows, then replace one of 300.
 
 References
 ----------
@@ -32,8 +32,8 @@ from stringcast.stages.inference.noise import MeasuredTrial, Noise, gram_roots
 class NoiseBasis(ABC):
     """Coefficients of a trial in which noise is white, M of each coordinate.
 
-    They are in blocks of m. A discrepancy covaries alike in each block, but for its
-    size, and blocks do not covary.
+    They are in blocks of m. The covariance of a discrepancy is the same in each block
+    but for a factor, `block_variance`. Coefficients of two blocks are uncorrelated.
     """
 
     @property

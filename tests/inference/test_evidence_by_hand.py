@@ -17,7 +17,7 @@ from stringcast.stages.model.parametrised import Parametrised
 from stringcast.stages.model.string import String
 
 TipMass, CameraRotation = find_effects(["tip_mass", "camera_rotation"])
-COURSES = len(discrepancy_grid.log_grid_prior())
+GRID_POINTS = len(discrepancy_grid.log_grid_prior())
 UNIT = Parameter("a", "1", "", low=0.0, high=1.0, start=0.0)
 FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 
@@ -48,7 +48,7 @@ class LinearData:
         return np.concatenate([rows / index for rows, index in pairs], axis=1)
 
     def log_likelihood_by_grid_point(self, residuals):
-        found = np.full((2, len(residuals[0]), COURSES), -1e6)
+        found = np.full((2, len(residuals[0]), GRID_POINTS), -1e6)
         for k, index in enumerate(self.likely):
             found[k, :, index] = -0.5 * np.sum((residuals[k] / index) ** 2, axis=1)
         return found
@@ -138,7 +138,7 @@ class ScaledData(LinearData):
     """The same trials, whose discrepancies are normal of any scale from 1 on."""
 
     def log_likelihood_by_grid_point(self, residuals):
-        scales = 1.0 + np.arange(COURSES)
+        scales = 1.0 + np.arange(GRID_POINTS)
         found = []
         for rows in residuals:
             squares = np.sum(rows**2, axis=1)[:, None]
@@ -169,7 +169,7 @@ def test_a_fit_maximises_the_likelihood_of_exponents_and_grid_points(size):
         for start in np.random.default_rng(2).uniform(size=(8, 3))
     )
     starts = np.random.default_rng(1).uniform(size=(3, 3))
-    first = np.array([COURSES - 1, 0])
+    first = np.array([GRID_POINTS - 1, 0])
     chi, width = laplace.best_exponents(data, hypothesis, starts, first, 1e-6)
     assert negative_log_likelihood(chi) == pytest.approx(lowest, abs=0.01)
     assert ((width >= 1e-6) & (width <= 1e-3)).all()
