@@ -93,9 +93,10 @@ def link_package() -> None:
     rooms = [ROOT / room for room in ("conf", "data", "hardware", "pipeline", "stages")]
     modules = (ROOT / "pipeline" / "api").glob("*.py*")
     targets = {path.name: path for path in (*rooms, *modules)}
-    for link in folder.iterdir():
-        if link.name not in targets:
-            link.unlink()
+    for path in folder.iterdir():
+        # Python keeps its bytecode in a folder beside the links
+        if path.is_symlink() and path.name not in targets:
+            path.unlink()
     for name, target in targets.items():
         try:
             (folder / name).symlink_to(target, target_is_directory=target.is_dir())

@@ -36,6 +36,19 @@ def test_all_selects_the_long_ones_too(monkeypatch):
     assert [(*command, "-m", "") for command in short] == whole
 
 
+def test_links_are_made_again_beside_the_bytecode_of_python(monkeypatch, tmp_path):
+    monkeypatch.setattr(tasks, "LINKS", tmp_path / "package")
+    monkeypatch.setattr(tasks, "ENVIRONMENT", tmp_path)
+    tasks.link_package()
+    package = tmp_path / "package" / "stringcast"
+    (package / "__pycache__").mkdir()
+    (package / "gone.py").symlink_to(tmp_path / "gone.py")
+    tasks.link_package()
+    assert (package / "__pycache__").is_dir()
+    assert not (package / "gone.py").is_symlink()
+    assert (package / "stages").resolve() == tasks.ROOT / "stages"
+
+
 def test_a_run_of_which_every_test_was_skipped_fails():
     import conftest
 
