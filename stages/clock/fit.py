@@ -114,9 +114,8 @@ def fit_clock(
     hypothesis = Hypothesis(likelihood.model)
     data = attach_discrepancy_model(measured, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
-    grid_points = most_likely_grid_point(data.log_likelihood_by_grid_point(residuals))[
-        :, 0
-    ]
+    by_grid_point = data.log_likelihood_by_grid_point(residuals)[:, 0]
+    grid_points = most_likely_grid_point(by_grid_point)
     fit = fit_hypothesis(data, hypothesis, chi[None], grid_points)
     restarted = fit_from_beginnings(data, fit)
     best = max((fit, restarted), key=lambda each: each.log_evidence)
@@ -138,15 +137,20 @@ def explains_more(fuller: ClockFit, simpler: ClockFit) -> bool:
     It has more evidence, and removes enough of the mean square misfit at the tip: a
     string that the model does not describe fits a little better with any clock.
     """
+    has_evidence = fuller.fit.log_evidence > simpler.fit.log_evidence
+    explained = explained_fraction(fuller, simpler)
+    return has_evidence and explained >= MIN_EXPLAINED_FRACTION
+
+
+def explained_fraction(fuller: ClockFit, simpler: ClockFit) -> float:
+    """Compute the share of the mean square misfit at the tip that a fit removes."""
     before = unexplained_tip_rms(simpler.data, simpler.fit)
     after = unexplained_tip_rms(fuller.data, fuller.fit)
-    explained = 1 - np.sum(after**2) / np.sum(before**2)
-    has_evidence = fuller.fit.log_evidence > simpler.fit.log_evidence
-    return bool(has_evidence and explained >= MIN_EXPLAINED_FRACTION)
+    return float(1 - np.sum(after**2) / np.sum(before**2))
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:
-    """Return how much of the misfit at the tip the fit's offset removes.
+    """Compute the share of the misfit at the tip that the fit's offset removes.
 
     other: offset with which it is compared [s], with the string fitted to it.
     """
@@ -157,10 +161,8 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
         replace(model, measured_ranges={**model.measured_ranges, **fixed})
     )
     start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
-    without = fit_hypothesis(clock.data, hypothesis, start[None], fit.grid_points)
-    before = unexplained_tip_rms(clock.data, without)
-    after = unexplained_tip_rms(clock.data, fit)
-    return float(1 - np.sum(after**2) / np.sum(before**2))
+    fixed_fit = fit_hypothesis(clock.data, hypothesis, start[None], fit.grid_points)
+    return explained_fraction(clock, replace(clock, fit=fixed_fit))
 
 
 def effect_responses(clock: ClockFit) -> ByTrial:
