@@ -305,7 +305,8 @@ def _common_offset(
     if drift is None:
         return interval, None
     value = added + clock.offset + offset_with_drift.value
-    half = offset_with_drift.width / 2 + floor
+    half_of_scatter = HALF_WIDTH * deviation_of_mean_s
+    half = float(np.hypot(offset_with_drift.width / 2, half_of_scatter)) + floor
     return Interval(value, value - half, value + half), drift
 
 

@@ -236,6 +236,24 @@ def test_offsets_that_scatter_beyond_their_posterior_state_by_how_much():
     assert offset._scatter_of_trials(wide) == 0.0
 
 
+@pytest.mark.parametrize("drift", [None, Interval(0.02, 0.01, 0.03)])
+def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
+    drift, monkeypatch
+):
+    """The posterior is exact here, and of four trials the mean scatters half as much."""
+    clock = SimpleNamespace(data=SimpleNamespace(trials=range(4)), offset=0.0)
+    exact = BackgroundPosterior(np.zeros(1), np.zeros((1, 1)))
+    monkeypatch.setattr(offset, "time_slopes", lambda clock: [])
+    monkeypatch.setattr(offset, "_posterior", lambda *given: exact)
+    fitted = drift, Interval.from_deviation(0.0, 0.0, 0.0)
+    monkeypatch.setattr(offset, "_estimate_drift", lambda *given: fitted)
+    interval, found = offset._common_offset(clock, [], 0.3, 0.001, scatter_s=0.01)
+    assert found is drift
+    assert interval.value == pytest.approx(0.3)
+    expected_s = 2 * (offset.HALF_WIDTH * 0.005 + 0.001)
+    assert interval.width == pytest.approx(expected_s)
+
+
 def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
     model = plain_model(CHECKED)
     rng = np.random.default_rng(0)
