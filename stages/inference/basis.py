@@ -127,9 +127,9 @@ class SmoothFunctions:
         return np.asarray((by_place @ self.in_time).reshape(-1, places * splines))
 
     def at_points(self, factors: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Sum the functions times factors (2 C, K B) at some of the points, (C, 2 m).
+        """Sum the functions times factors (2 C, K B) at some of the points, (C, 2 q).
 
-        factors: rows as of `sums`. chosen: a mask of the m points, (n,).
+        factors: rows as of `sums`. chosen: a mask of the q points, (n,).
         """
         places = self.in_place.shape[1]
         by_place = factors.reshape(-1, 2, places, self.in_time.shape[1])

@@ -142,9 +142,9 @@ class Discrepancy:
         rng: np.random.Generator,
         chosen: np.ndarray,
     ) -> np.ndarray:
-        """Draw discrepancies over sigma (count, 2 m) given coefficients (2 M,).
+        """Draw discrepancies over sigma (count, 2 q) given coefficients (2 M,).
 
-        chosen: a mask of the m points at which they are wanted, (n,).
+        chosen: a mask of the q points at which they are wanted, (n,).
         """
         onset, scale_index = split_grid_point(grid_point)
         variance = self.basis.at_onset(onset).variance_at(scale_index)
@@ -174,7 +174,7 @@ class Discrepancy:
     def _at_points(
         self, turned: np.ndarray, onset: int, chosen: np.ndarray
     ) -> np.ndarray:
-        """Evaluate turned coefficients (C, 2, M) at some points, (C, 2 m)."""
+        """Evaluate turned coefficients (C, 2, M) at some points, (C, 2 q)."""
         coefficients = self.basis.at_onset(onset).turn_back(turned)
         return self.basis.at_points(coefficients, chosen)
 

@@ -118,9 +118,9 @@ class DiscrepancyBasis:
         return np.asarray(by_axis.reshape(len(residual), 2 * by_axis.shape[1]))
 
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (C, 2 M) at some points, (C, 2 m).
+        """Evaluate coefficients (C, 2 M) at some points, (C, 2 q).
 
-        chosen: a mask of the m points, (n,).
+        chosen: a mask of the q points, (n,).
         """
         by_axis = coefficients.reshape(2 * len(coefficients), -1)
         return self.noise_basis.at_points(by_axis, chosen)

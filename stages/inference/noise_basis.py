@@ -50,9 +50,9 @@ class NoiseBasis(ABC):
 
     @abstractmethod
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (2 C, M) at some points, (C, 2 m).
+        """Evaluate coefficients (2 C, M) at some points, (C, 2 q).
 
-        chosen: a mask of the m points, (n,).
+        chosen: a mask of the q points, (n,).
         """
 
     @abstractmethod
@@ -118,7 +118,7 @@ class JointNoiseBasis(NoiseBasis):
         return np.asarray(self.functions.sums(residual) @ self.whiten.T)
 
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (2 C, M) at some points, (C, 2 m)."""
+        """Evaluate coefficients (2 C, M) at some points, (C, 2 q)."""
         factors = coefficients @ self.to_functions.T
         return self.functions.at_points(factors, chosen)
 
@@ -191,7 +191,7 @@ class SeparableNoiseBasis(NoiseBasis):
         return self.white.sums(residual)
 
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (2 C, M) at some points, (C, 2 m)."""
+        """Evaluate coefficients (2 C, M) at some points, (C, 2 q)."""
         return self.dual.at_points(coefficients, chosen)
 
     def discrepancy_root(self, time_root: np.ndarray) -> np.ndarray:

@@ -201,7 +201,7 @@ def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
 
 
 def with_maxwell_slip(arm):
-    """Return the ordinary model with slips, and the time step that the set-up compiles."""
+    """Return the ordinary model with slips, and the integrator that a setup compiles."""
     model = ordinary(arm).with_effects(effects_by_name()["maxwell_slip"])
     return replace(model, string=replace(model.string, integrator=ImplicitLeapfrog()))
 
