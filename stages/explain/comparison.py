@@ -104,8 +104,8 @@ class Comparer:
         """Compute the mean square that a few iterations leave on a coarse mesh.
 
         They begin at the best of some sizes of the last effect. The error of the mesh
-        at the estimate is subtracted: a gravity that is turned makes up for it, and
-        wind does not.
+        at the estimate is subtracted. Otherwise effects that resemble it, such as a
+        gravity that is turned, would rank too high.
         """
         assert self.base.estimate is not None
         hypothesis = Hypothesis(self.model, tuple(effects))

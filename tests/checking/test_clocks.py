@@ -163,7 +163,7 @@ def test_trials_that_something_unknown_moves_keep_one_clock():
 
 
 @pytest.mark.long
-def test_trials_with_clocks_of_their_own_are_told_so():
+def test_trials_with_clocks_of_their_own_get_offsets_of_their_own():
     given_s = {"t00": 0.0, "t01": 0.06, "t02": -0.04}
     trials = [
         late(seen, given_s[seen.name], tip_alone=False).observation
