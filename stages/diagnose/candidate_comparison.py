@@ -174,6 +174,10 @@ def _fit_more_proposals(
             grid_points = parent.grid_points
             start = fit.chi[None]
             fit = fit_hypothesis(data, hypothesis, start, grid_points, min_gain)
+        if _is_worse_than_contained(fit, parent):
+            absent = hypothesis.exponents_from(parent.exponents)[None]
+            grid_points = parent.grid_points
+            fit = fit_hypothesis(data, hypothesis, absent, grid_points, min_gain)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
@@ -199,6 +203,17 @@ def _fit_more_proposals(
         if corrected.log_evidence > fits[k].log_evidence:
             fits[k] = corrected
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+
+
+def _is_worse_than_contained(fit: Fit, parent: Fit) -> bool:
+    """Return whether a fit with a further cause ends below the one without it.
+
+    It contains the parent, where the cause is absent. So the start that was proposed,
+    which is linear about the parent, was too far from it.
+    """
+    before = parent.log_likelihood_by_trial.sum()
+    after = fit.log_likelihood_by_trial.sum()
+    return bool(after < before - NEGLIGIBLE_LOG_EVIDENCE)
 
 
 def _best_gain(step: SelectionStep) -> float:
