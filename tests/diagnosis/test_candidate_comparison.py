@@ -492,7 +492,7 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
     monkeypatch.setattr(
         candidate_comparison, "rank_rivals", lambda parent, fits, criteria: fits
     )
-    parent = SimpleNamespace(log_evidence=0.0, grid_points=None)
+    parent = NamedFit("", 0.0)
     best = named_fit("clamp", 35.0)
     step = SelectionStep(None, parent, [], [best])
     wind = SimpleNamespace(name="wind")
@@ -503,3 +503,44 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
         prepared, step, [proposal], CRITERIA, ("plain", parent)
     )
     assert [each.log_evidence for each in found.fits] == [35.0, kept]
+
+
+@pytest.mark.parametrize(("proposed", "starts"), [(-30.0, [0.9, 0.2]), (12.0, [0.9])])
+def test_a_fit_that_ends_below_its_parent_begins_again_without_the_cause(
+    proposed, starts, monkeypatch
+):
+    """The parent is a candidate in which the cause is absent."""
+    ends = {0.9: proposed, 0.2: 8.0}
+    tried = []
+
+    def fit(data, hypothesis, start, *given):
+        tried.append(float(start[0, 0]))
+        log_likelihood = ends[tried[-1]]
+        by_trial = np.array([log_likelihood])
+        fit = NamedFit("wind", log_likelihood, hypothesis)
+        return replace(fit, log_likelihood_by_trial=by_trial)
+
+    monkeypatch.setattr(candidate_comparison, "fit_hypothesis", fit)
+    monkeypatch.setattr(
+        candidate_comparison, "least_evidence_of_rivals", lambda *given: np.inf
+    )
+    monkeypatch.setattr(
+        candidate_comparison, "rank_rivals", lambda parent, fits, criteria: fits
+    )
+    parent = NamedFit("", 0.0)
+    wind = SimpleNamespace(name="wind")
+    hypothesis = SimpleNamespace(
+        causes=(wind,),
+        cause_names=("wind",),
+        exponents_from=lambda exponents: np.array([0.2]),
+    )
+    proposal = Proposal(hypothesis, np.array([[0.9]]), 20.0, np.ones(1))
+    found = candidate_comparison._fit_more_proposals(
+        SimpleNamespace(data="plain"),
+        SelectionStep(None, parent, [], []),
+        [proposal],
+        CRITERIA,
+        ("plain", parent),
+    )
+    assert tried == starts
+    assert [each.log_evidence for each in found.fits] == [max(proposed, 8.0)]
