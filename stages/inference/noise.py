@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
     RANK_TOLERANCE,
+    SmoothFunctions,
     knot_spacing,
     place_functions,
     time_splines,
@@ -141,10 +142,8 @@ class NoiseTrack:
     place_residuals: np.ndarray
 
 
-def gram_roots(place: np.ndarray, frame: np.ndarray, frames: int) -> np.ndarray:
-    """Compute roots (F, K, K) of the Gram matrix of functions (n, K) in each frame."""
-    gram = np.zeros((frames, place.shape[1], place.shape[1]))
-    np.add.at(gram, frame, place[:, :, None] * place[:, None, :])
+def gram_roots(gram: np.ndarray) -> np.ndarray:
+    """Compute symmetric roots of Gram matrices (F, K, K)."""
     values, vectors = np.linalg.eigh(gram)
     sizes = np.sqrt(np.maximum(values, 0.0))
     return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, sizes, vectors))
@@ -161,9 +160,10 @@ def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
     frames = len(trial.times)
     sums = np.zeros((frames, PLACE_FUNCTIONS, 2))
     np.add.at(sums, trial.frame, place[:, :, None] * residual[:, None, :])
-    roots = gram_roots(place, trial.frame, frames)
+    functions = SmoothFunctions(time.toarray(), place, trial.frame)
+    roots = gram_roots(functions.gram_by_frame(np.ones(len(place))))
     inverse = np.linalg.pinv(roots, rcond=np.sqrt(RANK_TOLERANCE), hermitian=True)
-    return NoiseTrack(time.toarray(), (inverse @ sums).reshape(frames, -1))
+    return NoiseTrack(functions.in_time, (inverse @ sums).reshape(frames, -1))
 
 
 def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:

@@ -98,8 +98,7 @@ class JointNoiseBasis(NoiseBasis):
         gram, gram_over_sigma: of the functions of place in each frame, (F, K, K).
         """
         in_time = functions.in_time
-        roots = gram_roots(functions.in_place, functions.frame, len(in_time))
-        covariance = noise.covariance(in_time, roots)
+        covariance = noise.covariance(in_time, gram_roots(gram))
         values, vectors = eigh(covariance, driver="evd")
         kept = values > RANK_TOLERANCE * values[-1]
         vectors = vectors[:, kept]
@@ -161,7 +160,7 @@ class SeparableNoiseBasis(NoiseBasis):
         in_time = functions.in_time
         filtered = noise.filter_in_time(in_time)
         values, vectors = eigh(filtered.T @ filtered)
-        root = gram_roots(functions.in_place, functions.frame, len(in_time))[0]
+        (root,) = gram_roots(gram[None])
         of_place = root @ noise.place_covariance @ root
         place_values = eigh(of_place, eigvals_only=True)
         smallest = values[0] * place_values[0]

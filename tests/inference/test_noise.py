@@ -14,6 +14,7 @@ from scipy.linalg import toeplitz
 
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
+    SmoothFunctions,
     place_functions,
     tensor_products,
     time_splines,
@@ -87,7 +88,7 @@ def of_places(covariance):
     """
     place = place_functions(S, 0.3)
     inverse = np.linalg.pinv(
-        gram_roots(place, np.zeros(PLACES_SEEN, dtype=int), 1)[0],
+        gram_roots((place.T @ place)[None])[0],
         hermitian=True,
         rcond=1e-4,
     )
@@ -144,9 +145,11 @@ def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
     splines = tensor_products(time[trial.frame], place).toarray()
     dense = np.kron(toeplitz(BEFORE ** np.arange(FRAMES)), along_string())
     expected = splines.T @ dense @ splines
-    assert noise.covariance(
-        time.toarray(), gram_roots(place, trial.frame, FRAMES)
-    ) == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+    smooth = SmoothFunctions(time.toarray(), place, trial.frame)
+    roots = gram_roots(smooth.gram_by_frame(np.ones(len(place))))
+    assert noise.covariance(time.toarray(), roots) == pytest.approx(
+        expected, abs=1e-5 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("missing", [0, 5])
@@ -155,15 +158,15 @@ def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
     kept = np.arange(len(trial.s)) >= missing
     seen = trial.select_points(kept)
     in_place = place_functions(seen.s, 0.3)
-    roots = gram_roots(in_place, seen.frame, FRAMES)
+    smooth = SmoothFunctions(time_splines(T).toarray(), in_place, seen.frame)
+    roots = gram_roots(smooth.gram_by_frame(np.ones(len(in_place))))
     noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
     basis = find_noise_basis(replace(seen, noise=noise))
     assert isinstance(basis, JointNoiseBasis) == (missing > 0)
 
     # Residuals of x whose covariance in smooth functions is that of the noise
-    in_time = time_splines(T)
-    splines = tensor_products(in_time[seen.frame], in_place).toarray()
-    values, vectors = np.linalg.eigh(noise.covariance(in_time.toarray(), roots))
+    splines = tensor_products(time_splines(T)[seen.frame], in_place).toarray()
+    values, vectors = np.linalg.eigh(noise.covariance(smooth.in_time, roots))
     sums = vectors * np.sqrt(values)
     residuals = np.zeros((len(values), len(seen.s), 2))
     residuals[:, :, 0] = (splines @ np.linalg.solve(splines.T @ splines, sums)).T
