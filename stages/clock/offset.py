@@ -295,19 +295,14 @@ def _common_offset(
     camera stamps better [s], added to half of the offset's interval. scatter_s: of the
     trials' own offsets.
     """
-    deviation_of_mean_s = scatter_s / np.sqrt(len(clock.data.trials))
-    columns = [slope[None] for slope in time_slopes(clock)]
-    common = _posterior(clock, background, columns)
-    value = added + clock.offset + common.mean[0]
-    deviation_s = np.hypot(common.standard_deviation[0], deviation_of_mean_s)
-    interval = Interval.from_deviation(value, deviation_s, floor)
-    drift, offset_with_drift = _estimate_drift(clock, background)
+    drift, posterior = _estimate_drift(clock, background)
     if drift is None:
-        return interval, None
-    value = added + clock.offset + offset_with_drift.value
-    half_of_scatter = HALF_WIDTH * deviation_of_mean_s
-    half = float(np.hypot(offset_with_drift.width / 2, half_of_scatter)) + floor
-    return Interval(value, value - half, value + half), drift
+        columns = [slope[None] for slope in time_slopes(clock)]
+        posterior = _posterior(clock, background, columns)
+    value = added + clock.offset + posterior.mean[0]
+    deviation_of_mean_s = scatter_s / np.sqrt(len(clock.data.trials))
+    deviation_s = np.hypot(posterior.standard_deviation[0], deviation_of_mean_s)
+    return Interval.from_deviation(value, deviation_s, floor), drift
 
 
 def find_wrong_clock(
@@ -402,10 +397,10 @@ def _own_columns(clock: ClockFit) -> ByTrial:
 
 def _estimate_drift(
     clock: ClockFit, background: ByTrial
-) -> tuple[Interval | None, Interval]:
-    """Return the drift within trials, if it is seen, and the offset with it.
+) -> tuple[Interval | None, BackgroundPosterior]:
+    """Return the drift within trials, if it is seen, and the posterior with it.
 
-    The offset is that in the middle of each trial, about the fit's.
+    That is of the offset in the middle of each trial, about the fit's, and the drift.
     """
     columns = []
     slopes = time_slopes(clock)
@@ -414,13 +409,12 @@ def _estimate_drift(
         columns.append(np.stack([slope, slope * np.repeat(since_middle, 2)]))
     precision = np.array([NO_PRIOR, DRIFT_PRIOR**-2])
     posterior = clock_posterior(clock, background, columns, precision)
-    deviations = posterior.standard_deviation
-    offset = Interval.from_deviation(posterior.mean[0], deviations[0], 0.0)
-    drift = Interval.from_deviation(posterior.mean[1], deviations[1], 0.0)
+    deviation = posterior.standard_deviation[1]
+    drift = Interval.from_deviation(posterior.mean[1], deviation, 0.0)
     is_possible = max(drift.low, -drift.high) >= MIN_DRIFT
     if is_possible and explains_more(fit_drift(clock), clock):
-        return drift, offset
-    return None, offset
+        return drift, posterior
+    return None, posterior
 
 
 def _scatter_of_trials(own: BackgroundPosterior) -> float:

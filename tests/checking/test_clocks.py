@@ -245,8 +245,7 @@ def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
     exact = BackgroundPosterior(np.zeros(1), np.zeros((1, 1)))
     monkeypatch.setattr(offset, "time_slopes", lambda clock: [])
     monkeypatch.setattr(offset, "_posterior", lambda *given: exact)
-    fitted = drift, Interval.from_deviation(0.0, 0.0, 0.0)
-    monkeypatch.setattr(offset, "_estimate_drift", lambda *given: fitted)
+    monkeypatch.setattr(offset, "_estimate_drift", lambda *given: (drift, exact))
     interval, found = offset._common_offset(clock, [], 0.3, 0.001, scatter_s=0.01)
     assert found is drift
     assert interval.value == pytest.approx(0.3)
