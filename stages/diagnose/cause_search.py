@@ -17,7 +17,11 @@ from stringcast.stages.diagnose.outlying_trials import (
     find_outlying_trial,
     find_predicted_trials,
 )
-from stringcast.stages.diagnose.preparation import prepare_data, prepare_further_trials
+from stringcast.stages.diagnose.preparation import (
+    keep_configured_mesh_if_supported,
+    prepare_data,
+    prepare_further_trials,
+)
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.rules import Criteria
@@ -117,6 +121,8 @@ def search_until_trials_settle(
       begins again in a wider one.
     - A trial that is chaotic with the causes in short steps is left out, and the search
       goes on from the causes.
+    - If the data with the causes clearly come from the configured mesh, the search goes
+      on from the causes on that mesh.
     - When no cause is missing any more, the search begins again without a trial that
       is outlying. It goes on with one that was outlying and that the causes predict: a
       search with this trial has found others.
@@ -182,7 +188,7 @@ def _search_after_new_cause(
 
     if chaotic:
         return _search_without_chaotic_trials(search, reached, chaotic)
-    return search, None
+    return search, _search_on_configured_mesh(search.settings, reached)
 
 
 def _search_without_chaotic_trials(
@@ -199,6 +205,26 @@ def _search_without_chaotic_trials(
     used = trials.excluding_chaotic(state.prepared.chaotic_trials)
     without = reached._replace(trials=used, state=state)
     return replace(search, trials=trials), without
+
+
+def _search_on_configured_mesh(
+    settings: DiagnosisSettings, reached: SearchProgress
+) -> SearchProgress | None:
+    """Go on from the causes on the configured mesh, if the data come from it."""
+    state = reached.state
+    if state.prepared.mesh_is_model or not state.fit.hypothesis.causes:
+        return None
+    criteria = settings.criteria
+    prepared = keep_configured_mesh_if_supported(
+        state.prepared, state.fit, settings.model, criteria.tip_tolerance_m
+    )
+    if not prepared.mesh_is_model:
+        return None
+    log.info("the data come from the configured mesh")
+    on_its_mesh = with_causes_found_before(
+        prepared, state, criteria, settings.seed, settings.starts
+    )
+    return reached._replace(prepared=prepared, state=on_its_mesh)
 
 
 def _search_other_trials(

@@ -158,7 +158,9 @@ def prepare_data(
         keep_if_chaotic=tuple(keep_if_chaotic),
     )
     prepared = fit_base_model_to_resolved_trials(prepared, tolerance_m)
-    return keep_configured_mesh_if_supported(prepared, model, tolerance_m)
+    return keep_configured_mesh_if_supported(
+        prepared, prepared.base_fit, model, tolerance_m
+    )
 
 
 def fit_base_model_to_resolved_trials(
@@ -232,6 +234,7 @@ def prepare_further_trials(
 
 def keep_configured_mesh_if_supported(
     prepared: PreparedData,
+    fit: Fit,
     model: Model,
     tolerance_m: float,
 ) -> PreparedData:
@@ -239,9 +242,11 @@ def keep_configured_mesh_if_supported(
 
     Data of a simulated chain of mass points are nearer to that chain than to a
     continuous string, and it leaves nothing to explain.
+
+    fit: the base model, or one with causes.
     """
-    configured = _fit_configured_mesh(prepared, model)
-    needed_evidence = prepared.base_fit.log_evidence + STRONG_LOG_EVIDENCE
+    configured = _fit_configured_mesh(prepared, fit, model)
+    needed_evidence = fit.log_evidence + STRONG_LOG_EVIDENCE
     if configured is None or configured.log_evidence < needed_evidence:
         return replace(prepared, configured_mesh_fit=configured)
 
@@ -250,17 +255,17 @@ def keep_configured_mesh_if_supported(
     on_its_mesh = replace(prepared, mesh_is_model=True, trials=trials)
     on_its_mesh = correct_data_at(on_its_mesh, configured)
     data = on_its_mesh.data
-    fit = refit(data, configured, hypothesis)
-    if data.tip_rms_by_trial(mean_discrepancy(data, fit)).max() > tolerance_m:
+    refitted = refit(data, configured, hypothesis)
+    if data.tip_rms_by_trial(mean_discrepancy(data, refitted)).max() > tolerance_m:
         return replace(prepared, configured_mesh_fit=configured)
-    return replace(on_its_mesh, base_fit=fit)
+    base_fit = refit(data, refitted, Hypothesis(hypothesis.base))
+    return replace(on_its_mesh, base_fit=base_fit, configured_mesh_fit=None)
 
 
-def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
-    """Fit the base model on the configured mesh; None where that is the finer one."""
-    base = prepared.base_fit
+def _fit_configured_mesh(prepared: PreparedData, fit: Fit, model: Model) -> Fit | None:
+    """Fit a hypothesis on the configured mesh; None where that is the finer one."""
     string = model.string
-    fine = base.hypothesis.model.string
+    fine = fit.hypothesis.base.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:
         return None
     configured = model.with_ranges(*fine.ranges.values())
@@ -269,4 +274,5 @@ def _fit_configured_mesh(prepared: PreparedData, model: Model) -> Fit | None:
         discrepancy = corrected.discrepancy
         chain = replace(trial, model=configured, error_model=discrepancy)
         trials.append(reset_initial_state_linear(chain, discrepancy.nuisance_shapes))
-    return refit(TrialData(tuple(trials)), base, Hypothesis(configured))
+    hypothesis = Hypothesis(configured, fit.hypothesis.causes)
+    return refit(TrialData(tuple(trials)), fit, hypothesis)

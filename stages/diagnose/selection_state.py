@@ -205,7 +205,7 @@ def with_causes_found_before(
     start = hypothesis.model.exponents_of_values(found.fit.values)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.grid_points)
     rng = np.random.default_rng(seed)
-    steps = _without_fits(found.steps, prepared.data)
+    steps = _without_fits(found.steps, prepared)
     state = SelectionState(prepared, base, steps, unnamed=found.unnamed)
     return add_cause(state, fit, criteria, rng, starts)
 
@@ -222,7 +222,7 @@ def without_chaotic_trials(
         prepared.data, before.hypothesis, before.chi[None], grid_points
     )
     refined = refine_fit(prepared, fit)
-    steps = _without_fits(state.steps, refined.prepared.data)
+    steps = _without_fits(state.steps, refined.prepared)
     remaining = SelectionState(
         refined.prepared, refined.fit, steps, unnamed=state.unnamed
     )
@@ -230,13 +230,17 @@ def without_chaotic_trials(
 
 
 def _without_fits(
-    steps: Sequence[SelectionStep], data: TrialData
+    steps: Sequence[SelectionStep], prepared: PreparedData
 ) -> list[SelectionStep]:
-    """Keep what was proposed in steps; their fits were to other trials than these."""
+    """Keep what was proposed in steps; their fits were to other data than these."""
+    data = prepared.data
+    base = prepared.base_fit.hypothesis.base
     kept = []
     for step in steps:
         before = step.parent
-        parent = evaluate_fit(data, before.hypothesis, before.chi, before.width)
+        hypothesis = Hypothesis(base, before.hypothesis.causes)
+        chi = hypothesis.model.exponents_of_values(before.values)
+        parent = evaluate_fit(data, hypothesis, chi, before.width)
         kept.append(SelectionStep(data, parent, step.proposals, fits=()))
     return kept
 

@@ -265,6 +265,7 @@ def prepared_trials(trials=(), uncertainty_m=(), chaotic=()):
     """Stand for prepared trials, with a base model that has no causes."""
     hypothesis = SimpleNamespace(model=None, causes=())
     return SimpleNamespace(
+        mesh_is_model=True,
         chaotic_trials=chaotic,
         data=SimpleNamespace(trials=trials),
         trials=list(trials),
