@@ -348,7 +348,7 @@ def _finding_table(
     for name, fit in (("base", judgement.base_fit), ("extended", shown.fit)):
         posterior = posterior_with_background(data, fit, judgement.background)
         uncertainty[name] = tables.parameter_uncertainty(
-            fit, posterior, settings.interval_half_width
+            data, fit, posterior, settings.interval_half_width
         )
     unexplained = unexplained_document(
         data, shown.fit, judgement, budget, settings.criteria

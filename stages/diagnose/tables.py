@@ -23,6 +23,7 @@ from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     posterior_with_background,
 )
+from stringcast.stages.diagnose.intervals import parameter_intervals
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,
     mean_explained_fraction,
@@ -248,7 +249,8 @@ def causes_table(
             )
         common["sentence"] = sentence
         posterior = posterior_with_background(data, fit, judgement.background)
-        for row in _parameter_rows(fit, effect, posterior, half_width):
+        intervals = parameter_intervals(data, fit, posterior, half_width)
+        for row in _parameter_rows(fit, effect, intervals):
             rows.append(common | row)
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
@@ -265,13 +267,12 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
 def _parameter_rows(
     fit: Fit,
     effect: type[Effect],
-    posterior: BackgroundPosterior,
-    half_width: float,
+    intervals: Sequence[tuple[float, float]],
 ) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
     indices = fit.hypothesis.parameter_indices(effect, effect.parameters)
     for parameter, index in zip(effect.parameters, indices, strict=True):
-        low, high = parameter_interval(fit, index, posterior, half_width)
+        low, high = intervals[index]
         row: dict[str, object] = {
             "parameter": effect.qualified_name(parameter),
             "meaning": parameter.meaning,
@@ -286,6 +287,7 @@ def _parameter_rows(
 
 
 def parameter_uncertainty(
+    data: TrialData,
     fit: Fit,
     posterior: BackgroundPosterior,
     half_width: float,
@@ -299,8 +301,8 @@ def parameter_uncertainty(
     """
     names = fit.hypothesis.model.names
     intervals = {}
-    for index, name in enumerate(names):
-        interval = parameter_interval(fit, index, posterior, half_width)
+    ends = parameter_intervals(data, fit, posterior, half_width)
+    for name, interval in zip(names, ends, strict=True):
         intervals[name] = list(interval)
     correlations: list[dict[str, Any]] = []
     correlation = posterior.correlation
@@ -310,24 +312,6 @@ def parameter_uncertainty(
             correlations.append({"parameters": [names[i], names[j]], "value": value})
     correlations.sort(key=lambda row: -abs(row["value"]))
     return {"intervals": intervals, "correlations": correlations}
-
-
-def parameter_interval(
-    fit: Fit,
-    index: int,
-    posterior: BackgroundPosterior,
-    half_width: float,
-) -> tuple[float, float]:
-    """Compute the ends of a parameter's interval about its value.
-
-    The fit is not the posterior mean, so that its error has a mean as well.
-    """
-    chi = fit.chi[index]
-    bias = posterior.mean[index] - chi
-    reach = half_width * np.hypot(posterior.standard_deviation[index], bias)
-    ends = np.clip([chi - reach, chi + reach], 0.0, 1.0)
-    low, high = fit.hypothesis.parameters[index].value(ends)
-    return float(low), float(high)
 
 
 def missing_table(data: TrialData, fit: Fit, criteria: Criteria) -> pd.DataFrame:

@@ -102,6 +102,8 @@ class SolverRuns:
     ----------
     chi
         Exponents, (R, P).
+    held
+        Exponents that stay as they are, (R, P).
     residual
         White residuals, (R, N).
     loss
@@ -125,6 +127,7 @@ class SolverRuns:
     """
 
     chi: np.ndarray
+    held: np.ndarray
     residual: np.ndarray
     loss: np.ndarray
     width: np.ndarray
@@ -138,12 +141,15 @@ class SolverRuns:
     promise: np.ndarray
 
     @classmethod
-    def start(cls, problem: Problem, chi: np.ndarray) -> SolverRuns:
-        """Place the runs at their starts (R, P)."""
+    def start(
+        cls, problem: Problem, chi: np.ndarray, held: np.ndarray | None = None
+    ) -> SolverRuns:
+        """Place the runs at their starts (R, P); by default none is held."""
         count, size = chi.shape
         residual = problem.residuals(chi)
         return cls(
             chi=chi.copy(),
+            held=np.zeros(chi.shape, dtype=bool) if held is None else held,
             residual=residual,
             loss=huber_loss(residual, problem.limit),
             width=np.full(chi.shape, FIRST_DIFFERENCE),
@@ -192,6 +198,7 @@ def fit_least_squares(
     max_iterations: int = MAX_ITERATIONS,
     min_gain: float = MIN_GAIN,
     max_promises_behind: float = np.inf,
+    held: np.ndarray | None = None,
 ) -> SolverRuns:
     """Minimise the loss from several starts side by side.
 
@@ -206,8 +213,10 @@ def fit_least_squares(
     max_promises_behind
         A run that is behind the best by more than so many times what its slopes promise
         is given up.
+    held
+        Exponents that stay where they start, (R, P).
     """
-    runs = SolverRuns.start(problem, starts)
+    runs = SolverRuns.start(problem, starts, held)
     for _ in range(max_iterations):
         if not runs.active.any():
             break
@@ -296,7 +305,9 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
     for run in chosen:  # of half the loss
-        gain = promised_gain(runs.normal[run], runs.gradient[run], runs.chi[run])
+        free = ~runs.held[run]
+        normal = runs.normal[run][np.ix_(free, free)]
+        gain = promised_gain(normal, runs.gradient[run, free], runs.chi[run, free])
         runs.promise[run] = 2 * gain / max(runs.loss[run], SMALLEST_FLOAT)
 
 
@@ -390,14 +401,16 @@ def _trial_points(
     diagonal = np.diag(normal)
     flat = FLAT_CURVATURE_SHARE * diagonal.mean() + SMALLEST_FLOAT
 
-    low = np.maximum(chi - MAX_EXPONENT_STEP, 0.0) - chi
-    high = np.minimum(chi + MAX_EXPONENT_STEP, 1.0) - chi
+    free = ~runs.held[run]
+    low = np.maximum(chi - MAX_EXPONENT_STEP * free, 0.0) - chi
+    high = np.minimum(chi + MAX_EXPONENT_STEP * free, 1.0) - chi
 
     # A step in values is written as the step in exponents of the same slope
     value = parameter_values(parameters, chi)
     slope = np.maximum(parameter_slopes(parameters, chi), SMALLEST_FLOAT)
-    lowest = parameter_values(parameters, np.clip(chi - MAX_VALUE_STEP, 0.0, 1.0))
-    highest = parameter_values(parameters, np.clip(chi + MAX_VALUE_STEP, 0.0, 1.0))
+    reach = MAX_VALUE_STEP * free
+    lowest = parameter_values(parameters, np.clip(chi - reach, 0.0, 1.0))
+    highest = parameter_values(parameters, np.clip(chi + reach, 0.0, 1.0))
     with np.errstate(over="ignore"):  # where a value hardly rises, no end is near
         low_in_values = (lowest - value) / slope
         high_in_values = (highest - value) / slope

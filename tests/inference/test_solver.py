@@ -267,3 +267,15 @@ def test_a_run_ends_where_no_step_gains_and_slopes_promise_little():
     eager = Pit(noise=noise, place=optimum[0, 0])
     fit_least_squares(eager, optimum, 60, min_gain=1.0)
     assert len(eager.asked) > 8
+
+
+def test_what_is_held_stays_where_it_starts():
+    """Held parameters stay exactly, and the others make up for them."""
+    problem = Decay()
+    start = np.array([[0.6, 0.3], [0.7, 0.5]])
+    held = np.array([[True, False], [False, True]])
+    runs = fit_least_squares(problem, start, held=held)
+    assert (runs.chi[held] == start[held]).all()
+    free = fit_least_squares(problem, start)
+    assert (runs.loss > free.loss).all()
+    assert (runs.loss < 1e-3 * np.mean(problem.residuals(start) ** 2, axis=1)).all()

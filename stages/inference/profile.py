@@ -1,0 +1,155 @@
+"""How far parameters may be from their best values, where the likelihood is not normal.
+
+A normal posterior (Laplace) extends straight from the best exponents. Parameters may
+make up for each other along a bend: the height and the tilt of a plane that a string
+touches in one place. So a parameter is held farther and farther away while the others
+are fitted, until the log-likelihood has fallen as far as that of a normal posterior
+falls to the end of its interval: a profile.
+
+References
+----------
+MINOS: James and Roos 1975, Comput. Phys. Commun. 10, 343.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stringcast.stages.inference.huber import huber_loss
+from stringcast.stages.inference.solver import (
+    Problem,
+    fit_least_squares,
+    forward_differences,
+)
+
+# Of the fall of a likelihood to that of a normal one: within this factor it is normal
+NORMAL_FALL_RATIO = 2.0
+MAX_DOUBLINGS = 2  # of the distance at which an exponent is held
+FIT_ITERATIONS = 4  # of the others, from where a straight line leads
+LEAST_PRECISION = 1e-9  # of an exponent that data do not determine
+
+
+def profile_reaches(
+    problem: Problem,
+    chi: np.ndarray,
+    width: np.ndarray,
+    indices: Sequence[int],
+    half_width: float,
+) -> np.ndarray:
+    """Compute how far some exponents may be below and above their best values, (I, 2).
+
+    They are at least those of a normal posterior.
+
+    Parameters
+    ----------
+    problem
+        Whose white residuals are those of the likelihood.
+    chi
+        The best exponents, (P,).
+    width
+        Over which to difference them, (P,).
+    indices
+        Of the I exponents.
+    half_width
+        Of the interval, in standard deviations.
+    """
+    residual = problem.residuals(chi[None])
+    slope = forward_differences(problem, chi[None], residual, width[None])[0]
+    precision = slope @ slope.T + LEAST_PRECISION * np.eye(len(chi))
+    covariance = np.linalg.inv(precision)
+    best_loss = huber_loss(residual, problem.limit)[0]
+
+    # Straight to both ends of the normal interval of each exponent
+    index = np.repeat(np.asarray(indices, dtype=int), 2)
+    sign = np.tile([-1.0, 1.0], len(indices))
+    deviation = np.sqrt(covariance[index, index])
+    step = (sign * half_width / deviation)[:, None] * covariance[index]
+    ends = np.clip(chi + step, 0.0, 1.0)
+    moved = (ends - chi)[range(len(index)), index]
+    normal_fall = 0.5 * (moved / deviation) ** 2
+    fall = _falls(problem, problem.residuals(ends), best_loss)
+    is_normal = (fall >= normal_fall / NORMAL_FALL_RATIO) & (
+        fall <= normal_fall * NORMAL_FALL_RATIO
+    )
+
+    # On along the profile where the likelihood does not fall as a normal one
+    profiles = []
+    for number in np.flatnonzero(~is_normal & (moved != 0)):
+        profiles.append(_Profile(number, index[number], chi, ends[number], half_width))
+    for _ in range(1 + MAX_DOUBLINGS):
+        going = [profile for profile in profiles if not profile.is_ended]
+        if not going:
+            break
+        starts = np.array([profile.start for profile in going])
+        held = np.arange(len(chi)) == [[profile.index] for profile in going]
+        runs = fit_least_squares(problem, starts, FIT_ITERATIONS, held=held)
+        falls = _falls(problem, runs.residual, best_loss)
+        for profile, here, fall_here in zip(going, runs.chi, falls, strict=True):
+            profile.advance(here, fall_here)
+
+    reach = half_width * deviation
+    for profile in profiles:
+        reach[profile.number] = max(reach[profile.number], profile.reach)
+    return reach.reshape(-1, 2)
+
+
+def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarray:
+    """Compute by how much log-likelihoods of residuals (R, N) are below the best."""
+    loss = huber_loss(residual, problem.limit)
+    return np.asarray(0.5 * residual.shape[1] * (loss - best_loss))
+
+
+@dataclass
+class _Profile:
+    """One side of the profile of an exponent.
+
+    Parameters
+    ----------
+    number
+        Of the side.
+    index
+        Of the exponent that is held.
+    best
+        The best exponents, (P,).
+    start
+        From where the others are fitted next, (P,).
+    half_width
+        Where to end, in standard deviations.
+    """
+
+    number: int
+    index: int
+    best: np.ndarray
+    start: np.ndarray
+    half_width: float
+    reach: float = 0.0  # distance of the exponent from its best value
+    is_ended: bool = False
+    before: np.ndarray = field(init=False)
+    deviation_before: float = 0.0  # root of twice the fall: standard deviations
+
+    def __post_init__(self) -> None:
+        self.before = self.best
+
+    def advance(self, here: np.ndarray, fall: float) -> None:
+        """Go on twice as far, or end where the likelihood has fallen enough.
+
+        here: the held exponent with the best others, (P,).
+        """
+        step = here - self.before
+        deviation = float(np.sqrt(2 * max(fall, 0.0)))
+        distance = abs(here[self.index] - self.best[self.index])
+        if deviation >= self.half_width:
+            rise = deviation - self.deviation_before
+            share = (self.half_width - self.deviation_before) / rise
+            self.reach += share * abs(step[self.index])
+            self.is_ended = True
+            return
+        self.reach = distance
+        ratio = distance / abs(step[self.index])
+        self.start = np.clip(here + ratio * step, 0.0, 1.0)
+        self.is_ended = bool(self.start[self.index] == here[self.index])  # at a bound
+        self.before = here
+        self.deviation_before = deviation

@@ -1,0 +1,64 @@
+"""Intervals along a bent valley of the likelihood."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from stringcast.stages.inference.profile import profile_reaches
+from stringcast.stages.model.parameter import Parameter
+
+HALF_WIDTH = 2.0
+ACROSS = 1e-3  # width of the valley
+ALONG = 0.1  # standard deviation along it
+X_AND_Y = tuple(Parameter(name, "m", "", -1.0, 1.0, 0.0) for name in "xy")
+BEST = np.array([0.5, 0.5])
+WIDTH = np.full(2, 1e-5)
+METRES_PER_EXPONENT = 2.0
+
+
+@dataclass
+class Valley:
+    """A valley y = x + bend x^2 that is normal in x."""
+
+    bend: float
+    parameters: tuple[Parameter, ...] = X_AND_Y
+    limit: float = np.inf
+    candidates_at_once: int = 1
+
+    def residuals(self, chi):
+        x, y = (METRES_PER_EXPONENT * (chi - BEST)).T
+        return np.stack([x / ALONG, (y - x - self.bend * x**2) / ACROSS], axis=1)
+
+
+def reaches(bend, indices=(0, 1)):
+    """Return how far exponents reach below and above, in metres."""
+    found = profile_reaches(Valley(bend), BEST, WIDTH, indices, HALF_WIDTH)
+    return METRES_PER_EXPONENT * found
+
+
+def test_a_straight_valley_has_the_intervals_of_a_normal_posterior():
+    """In a straight valley the profile is that of a normal posterior."""
+    deviations = np.array([ALONG, np.hypot(ALONG, ACROSS)])
+    expected = HALF_WIDTH * np.stack([deviations, deviations], axis=1)
+    assert reaches(0.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_bent_valley_reaches_to_where_its_likelihood_has_fallen():
+    """The profile of y goes along the valley to x = 2 standard deviations."""
+    bend = 2.0
+    end = HALF_WIDTH * ALONG
+    below, above = reaches(bend, [1])[0]
+    assert above == pytest.approx(end + bend * end**2, rel=0.05)
+    assert below == pytest.approx(end, rel=1e-3)  # never nearer than the normal one
+
+
+def test_an_interval_ends_with_its_range():
+    """An exponent that nothing determines reaches beyond its range."""
+
+    class Flat(Valley):
+        def residuals(self, chi):
+            return super().residuals(chi)[:, :1]
+
+    found = profile_reaches(Flat(0.0), BEST, WIDTH, [1], HALF_WIDTH)
+    assert (found > 0.5).all()
