@@ -340,6 +340,7 @@ def test_steps_are_damped_and_go_both_ways_within_bounds(chi, gradient):
     """One parameter from 0.01 to 1, whose curvature is 4."""
     runs = SimpleNamespace(
         chi=np.array([[chi]]),
+        held=np.array([[False]]),
         normal=np.array([[[4.0]]]),
         gradient=np.array([[gradient]]),
         damping=np.array([0.5]),
@@ -368,15 +369,16 @@ def test_steps_end_at_the_bounds_whatever_the_others_do(monkeypatch):
 
     monkeypatch.setattr(solver, "minimise_in_box", record)
     runs = SimpleNamespace(
-        chi=np.array([[0.1, 0.9]]),
-        normal=np.eye(2)[None],
-        gradient=np.zeros((1, 2)),
+        chi=np.array([[0.1, 0.9, 0.5]]),
+        held=np.array([[False, False, True]]),
+        normal=np.eye(3)[None],
+        gradient=np.zeros((1, 3)),
         damping=np.ones(1),
     )
-    solver._trial_points([UNIT, UNIT], runs, 0)
-    in_exponents, in_values = boxes[:2]
-    assert np.array(in_exponents) == pytest.approx(np.array([[-0.1, -0.3], [0.3, 0.1]]))
-    assert np.array(in_values) == pytest.approx(np.array([[-0.1, -0.5], [0.5, 0.1]]))
+    solver._trial_points([UNIT] * 3, runs, 0)
+    in_exponents, in_values = np.array(boxes[:2])
+    assert in_exponents == pytest.approx(np.array([[-0.1, -0.3, 0], [0.3, 0.1, 0]]))
+    assert in_values == pytest.approx(np.array([[-0.1, -0.5, 0], [0.5, 0.1, 0]]))
 
 
 class Line:
