@@ -76,11 +76,11 @@ def profile_reaches(
     )
 
     # On along the profile where the likelihood does not fall as a normal one
-    profiles = []
-    for number in np.flatnonzero(~is_normal & (moved != 0)):
-        profiles.append(_Profile(number, index[number], chi, ends[number], half_width))
+    profiles = {}
+    for number in np.flatnonzero(~is_normal & (moved != 0)).tolist():
+        profiles[number] = _Profile(int(index[number]), chi, ends[number], half_width)
     for _ in range(1 + MAX_DOUBLINGS):
-        going = [profile for profile in profiles if not profile.is_ended]
+        going = [each for each in profiles.values() if not each.is_ended]
         if not going:
             break
         starts = np.array([profile.start for profile in going])
@@ -91,9 +91,9 @@ def profile_reaches(
             profile.advance(here, fall_here)
 
     reach = half_width * deviation
-    for profile in profiles:
-        reach[profile.number] = max(reach[profile.number], profile.reach)
-    return reach.reshape(-1, 2)
+    for number, profile in profiles.items():
+        reach[number] = max(reach[number], profile.reach)
+    return np.asarray(reach.reshape(-1, 2))
 
 
 def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarray:
@@ -108,8 +108,6 @@ class _Profile:
 
     Parameters
     ----------
-    number
-        Of the side.
     index
         Of the exponent that is held.
     best
@@ -120,7 +118,6 @@ class _Profile:
         Where to end, in standard deviations.
     """
 
-    number: int
     index: int
     best: np.ndarray
     start: np.ndarray
