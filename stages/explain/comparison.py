@@ -9,18 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
+from stringcast.stages.inference.covariance import linearise
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder, with_corrected_points
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
-from stringcast.stages.inference.solver import fit_least_squares
+from stringcast.stages.inference.solver import (
+    FLAT_CURVATURE_SHARE,
+    SMALLEST_FLOAT,
+    fit_least_squares,
+    minimise_in_box,
+)
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.library import find_effects
@@ -100,6 +107,33 @@ class Comparer:
             tuple(sorted(causes)), self.base.log_evidence + float(evidence), estimate
         )
 
+    def linear_square(self, effect: type[Effect]) -> float:
+        """Compute the mean square that an effect leaves if it acts linearly.
+
+        Each of some sizes of the effect changes the simulated points. The least square
+        is that of a multiple of one of these changes, with the other parameters fitted.
+        It costs a tenth of `screened_square`.
+        """
+        hypothesis, coarse, start = self._with_effects_on_coarse_mesh((effect,))
+        probes = self._probes(hypothesis, effect, start)
+        unexplained, *probed = coarse.residuals(np.vstack([start, probes]))
+        base_start = start[hypothesis.base_indices]
+        fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))
+        least = float(np.mean(unexplained**2))
+        for residual, fraction in zip(probed, fractions, strict=True):
+            slopes = np.vstack([self._coarse_slopes, residual - unexplained])
+            # the effect goes from absent to the end of its range at most
+            low = np.append(-base_start, 0.0)
+            high = np.append(1.0 - base_start, 1.0 / fraction)
+            normal = slopes @ slopes.T / len(unexplained)
+            gradient = slopes @ unexplained / len(unexplained)
+            flat = FLAT_CURVATURE_SHARE * np.diag(normal).mean() + SMALLEST_FLOAT
+            damped = normal + flat * np.eye(len(normal))
+            step = minimise_in_box(damped, gradient, low, high)
+            left = unexplained + step @ slopes
+            least = min(least, float(np.mean(left**2)))
+        return least
+
     def screened_square(self, effects: Sequence[type[Effect]]) -> float:
         """Compute the mean square that a few iterations leave on a coarse mesh.
 
@@ -107,28 +141,62 @@ class Comparer:
         at the estimate is subtracted. Otherwise effects that resemble it, such as a
         gravity that is turned, would rank too high.
         """
-        assert self.base.estimate is not None
-        hypothesis = Hypothesis(self.model, tuple(effects))
-        trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
-        likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
-        ladder = mesh_ladder(likelihood)
-        coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
-        fitted = self.base.estimate.parameters
-        exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
-        start = hypothesis.exponents_from(exponents)
-        coarse = with_corrected_points(coarse, start)
-        coarse = with_estimated_noise(coarse, start)
-
+        hypothesis, coarse, start = self._with_effects_on_coarse_mesh(effects)
         starts = start[None]
         if effects:
             probes = self._probes(hypothesis, effects[-1], start)
             squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
             starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
         # the solver takes each number as independent, and the evidence each block
-        numbers = sum(2 * len(trial.s) for trial in trials)
+        numbers = sum(2 * len(trial.s) for trial in coarse.data.trials)
         min_gain = SCREENING_MIN_GAIN * numbers / (2 * self.blocks)
         runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
         return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
+
+    @cached_property
+    def _on_coarse_mesh(self) -> Likelihood:
+        """The trials on a coarse mesh, without its error at the estimate."""
+        coarse, start = self._coarse_likelihood(Hypothesis(self.model))
+        return with_estimated_noise(with_corrected_points(coarse, start), start)
+
+    @cached_property
+    def _coarse_slopes(self) -> np.ndarray:
+        """Slopes of the residuals by each parameter at the estimate, (P, N)."""
+        _, start = self._coarse_likelihood(Hypothesis(self.model))
+        return linearise(self._on_coarse_mesh, start).slope
+
+    def _with_effects_on_coarse_mesh(
+        self, effects: Sequence[type[Effect]]
+    ) -> tuple[Hypothesis, Likelihood, np.ndarray]:
+        """Add effects to the trials on a coarse mesh.
+
+        Returns the hypothesis, its likelihood without the error of the mesh, and the
+        exponents (P,) of the estimate, where the effects are absent.
+        """
+        hypothesis = Hypothesis(self.model, tuple(effects))
+        coarse, start = self._coarse_likelihood(hypothesis)
+        if hypothesis.model.string == self.model.string:
+            trials = []
+            known = self._on_coarse_mesh.data.trials
+            for trial, corrected in zip(coarse.data.trials, known, strict=True):
+                trials.append(replace(trial, points=corrected.points))
+            coarse = coarse.with_trials(tuple(trials))
+        else:  # its steps are shorter, and so is the error
+            coarse = with_corrected_points(coarse, start)
+        return hypothesis, with_estimated_noise(coarse, start), start
+
+    def _coarse_likelihood(
+        self, hypothesis: Hypothesis
+    ) -> tuple[Likelihood, np.ndarray]:
+        """Return a hypothesis on a coarse mesh, and the exponents of the estimate."""
+        assert self.base.estimate is not None
+        trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
+        likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
+        ladder = mesh_ladder(likelihood)
+        coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
+        fitted = self.base.estimate.parameters
+        exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
+        return coarse, hypothesis.exponents_from(exponents)
 
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray

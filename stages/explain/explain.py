@@ -23,13 +23,12 @@ from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.explain.cause_search import Budget, CauseSearch
+from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
     Comparer,
     Comparison,
     explains_half,
-    most_evident_fit,
     noise_m,
     rms_m,
     tip_rms_m,
@@ -124,11 +123,10 @@ def explain(
         with budget.measure_fit():
             compared[causes] = compare.fit(find_effects(causes), start)
 
-    search = CauseSearch(compare, effects, compared, finalists, budget)
-    best = most_evident_fit(compared.values())
-    if is_surprising or not earlier or not search.is_near(best, tolerance_m):
-        search.add_effect_to(base)
-    search.add_further_effects(tolerance_m)
+    search = CauseSearch(compare, effects, compared, finalists, budget, is_surprising)
+    if previous is not None and not previous.named_causes:
+        search.waiting += next_most_evident(previous, earlier, compare)
+    search.search(tolerance_m)
     probabilities = posterior_probabilities(compared, len(effects))
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
@@ -169,22 +167,33 @@ def reason_to_seek_no_cause(
 
 
 def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
-    """List the causes that are fitted first: those that were likely.
-
-    If none was named, the most evident others that were fitted are among them. An
-    effect that is added to these may explain more than the likely ones.
-    """
+    """List the causes that are fitted first: those that were likely."""
     likely = []
     for causes, probability in previous.cause_sets.items():
         if causes and probability >= MIXED_PROBABILITY:
             likely.append(causes)
-    if not likely or previous.named_causes:
-        return likely
-    is_fitted = previous.explanations["fitted"].to_numpy(dtype=bool)
-    for causes, was_fitted in zip(previous.cause_sets, is_fitted, strict=True):
-        if was_fitted and causes and causes not in likely:
-            return [*likely, causes]
     return likely
+
+
+def next_most_evident(
+    previous: Explanation, likely: Sequence[tuple[str, ...]], comparer: Comparer
+) -> list[Finalist]:
+    """Return the most evident causes of earlier trials other than the likely ones.
+
+    They are fitted again if no effect helps in addition to the likely ones: an effect
+    that is added to them may explain more.
+    """
+    if not likely:
+        return []
+    table = previous.explanations
+    is_fitted = table["fitted"].to_numpy(dtype=bool)
+    evidence = table["log_evidence"].to_numpy()
+    sets = zip(previous.cause_sets, is_fitted, evidence, strict=True)
+    for causes, was_fitted, log_evidence in sets:
+        if was_fitted and causes and causes not in likely:
+            compared = Comparison(causes, float(log_evidence))
+            return [Finalist(find_effects(causes), comparer, compared)]
+    return []
 
 
 def estimate_without_causes(estimate: Estimate, reason: str) -> Explanation:

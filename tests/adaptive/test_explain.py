@@ -20,7 +20,11 @@ from stringcast.stages.explain import noise_ratios
 from stringcast.stages.explain.cause_search import Budget, CauseSearch
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
 from stringcast.stages.explain.decision import decide, posterior_probabilities
-from stringcast.stages.explain.explain import earlier_causes, explain
+from stringcast.stages.explain.explain import (
+    earlier_causes,
+    explain,
+    next_most_evident,
+)
 from stringcast.stages.explain.noise_ratios import (
     NoiseRatios,
     compare_with_noise,
@@ -135,11 +139,12 @@ def earlier(probabilities, verdict):
     """Return an explanation in which the last causes were not fitted."""
     table = {"effects": list(probabilities), "probability": probabilities.values()}
     explanations = pd.DataFrame(table)
+    explanations["log_evidence"] = np.log(explanations["probability"])
     explanations["fitted"] = np.arange(len(explanations)) < len(explanations) - 1
     return replace(explanation(verdict), explanations=explanations)
 
 
-def test_the_next_most_evident_causes_are_fitted_again_where_none_was_named():
+def test_the_next_most_evident_causes_are_fitted_after_the_likely_ones():
     probabilities = {
         "gravity_direction tip_mass": 0.9,
         "gravity_direction rest_curvature": 0.1,
@@ -147,9 +152,15 @@ def test_the_next_most_evident_causes_are_fitted_again_where_none_was_named():
         "tip_mass": 1e-20,
         "clamp": 1e-30,
     }
-    expected = [tuple(names.split()) for names in probabilities][:3]
-    assert earlier_causes(earlier(probabilities, "candidates")) == expected
-    assert earlier_causes(earlier(probabilities, "cause")) == expected[:2]
+    previous = earlier(probabilities, "candidates")
+    *likely, following = [tuple(names.split()) for names in probabilities][:3]
+    assert earlier_causes(previous) == likely
+    (finalist,) = next_most_evident(previous, likely, None)
+    assert finalist.comparison.causes == following
+    assert tuple(effect.name for effect in finalist.effects) == following
+    assert not next_most_evident(previous, [], None)
+    everything = earlier(dict.fromkeys(probabilities, 0.2), "candidates")
+    assert not next_most_evident(everything, earlier_causes(everything), None)
 
 
 def test_causes_that_leave_much_are_not_trusted_on_other_motions():
@@ -204,6 +215,11 @@ def search(monkeypatch):
         Comparer, "with_base", lambda self, base: replace(self, base=base)
     )
     monkeypatch.setattr(Comparer, "screened_square", screen)
+    monkeypatch.setattr(
+        Comparer,
+        "linear_square",
+        lambda self, effect: left_mm([*self.base.causes, effect.name]) ** 2,
+    )
     monkeypatch.setattr(Comparer, "fit", fit)
     monkeypatch.setattr(CauseSearch, "noise_ratios_of", compare)
 
@@ -224,8 +240,7 @@ ALL_FOUR = "gravity_direction rest_curvature tip_mass wind"
 def test_three_causes_are_found_though_two_others_explain_more_than_two_of_them(search):
     """Gravity stands in for wind and set, and with it in the model neither helps."""
     searched = search.begin(ALL_FOUR)
-    searched.add_effect_to(searched.comparer.base)
-    searched.add_further_effects(TOLERANCE_M)
+    searched.search(TOLERANCE_M)
     probabilities = posterior_probabilities(searched.compared, CANDIDATES)
     three = ("rest_curvature", "tip_mass", "wind")
     assert next(iter(probabilities)) == three
@@ -241,25 +256,60 @@ def test_causes_are_sought_anew_where_earlier_ones_leave_more_than_noise(search)
     for (effect,) in earlier:
         base = replace(searched.comparer, base=base).fit((effect,), None)
     searched.compared[base.causes] = base
-    searched.add_further_effects(TOLERANCE_M)
+    searched.search(TOLERANCE_M)
     assert ("rest_curvature", "tip_mass", "wind") in searched.compared
+
+
+def finalists(searched):
+    """Return the causes that wait for a fit."""
+    return [each.comparison.causes for each in searched.waiting]
+
+
+def test_effects_are_added_before_rivals_are_fitted(search):
+    """Three causes are then found in three fits."""
+    search.begin("rest_curvature tip_mass wind clamp").search(TOLERANCE_M)
+    assert search.fits[:3] == [
+        ("tip_mass",),
+        ("tip_mass", "wind"),
+        ("rest_curvature", "tip_mass", "wind"),
+    ]
+
+
+def test_a_rival_that_might_leave_only_noise_is_fitted_before_effects_are_added(
+    search, monkeypatch
+):
+    """The coarse mesh may err by half of what the best gains."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction", 1.5)
+    monkeypatch.setitem(RMS_MM, "wind", 1.8)
+    search.begin(ALL_FOUR).search(TOLERANCE_M)
+    assert search.fits[:2] == [("gravity_direction",), ("wind",)]
+
+
+@pytest.mark.parametrize(("cause", "first"), [("clamp", NO_CAUSE), ("wind", ("wind",))])
+def test_effects_are_added_to_earlier_causes_if_these_explain_half(
+    search, cause, first
+):
+    """A clamp leaves 8 of 10 mm, and wind leaves 5."""
+    searched = search.begin(ALL_FOUR)
+    known = searched.comparer.fit(find_effects([cause]), None)
+    searched.compared[cause,] = searched.fitted[cause,] = known
+    searched.search(TOLERANCE_M)
+    assert search.ranked[0] == first
 
 
 def test_what_is_far_behind_is_not_fitted(search):
     """A clamp explains far less than a heavy tip on the coarse mesh already."""
     searched = search.begin("tip_mass wind clamp")
     searched.add_effect_to(searched.comparer.base)
-    assert search.fits == [("tip_mass",), ("wind",)]
+    assert finalists(searched) == [("tip_mass",), ("wind",)]
     assert searched.compared["clamp",].estimate is None
-    assert searched.is_complete
 
 
 def test_a_rival_is_fitted_though_it_is_behind_on_the_coarse_mesh(search, monkeypatch):
     """A slow look shows wind as it shows a tilt of gravity; the coarse mesh errs."""
     monkeypatch.setitem(RMS_MM, "gravity_direction", 1.0)
     monkeypatch.setitem(RMS_MM, "wind", 1.8)
-    searched = search.begin("gravity_direction wind clamp")
-    searched.add_effect_to(searched.comparer.base)
+    search.begin("gravity_direction wind clamp").search(TOLERANCE_M)
     assert search.fits == [("gravity_direction",), ("wind",)]
 
 
@@ -267,22 +317,22 @@ def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypa
     """The coarse mesh shows little of either: the fits gain 40 of the log evidence."""
     monkeypatch.setattr(Comparer, "screened_square", lambda *given: 1.0)
     searched = search.begin("tip_mass wind")
-    searched.add_effect_to(searched.comparer.base)
-    assert search.fits == [("tip_mass",), ("wind",)]
+    searched.search(TOLERANCE_M)
+    assert ("tip_mass",) in search.fits
     assert searched.compared["wind",].log_evidence > 30
 
 
 def test_a_search_that_the_time_cut_short_is_known(search):
     searched = search.begin(ALL_FOUR)
     searched.add_effect_to(searched.comparer.base)
-    assert not searched.is_cut_short
     searched.budget.seconds = 0.0
-    searched.add_further_effects(TOLERANCE_M)
+    searched.search(TOLERANCE_M)
     assert searched.is_cut_short
+    assert not searched.is_complete
     searched = search.begin(ALL_FOUR)
-    searched.add_effect_to(searched.comparer.base)
-    searched.add_further_effects(TOLERANCE_M)
+    searched.search(TOLERANCE_M)
     assert not searched.is_cut_short
+    assert searched.is_complete
 
 
 def test_several_causes_are_not_named_before_rivals_were_compared():
@@ -300,11 +350,9 @@ def test_several_causes_are_not_named_before_rivals_were_compared():
 def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
-    searched.add_effect_to(searched.comparer.base)
-    count = len(search.ranked)
-    searched.add_further_effects(TOLERANCE_M)
+    searched.search(TOLERANCE_M)
     assert search.fits == [("tip_mass",)]
-    assert len(search.ranked) == count
+    assert searched.extended == {NO_CAUSE}
 
 
 @pytest.mark.parametrize("contact_mm", [4.0, 0.3])
@@ -315,22 +363,26 @@ def test_a_slow_effect_waits_for_quick_ones_unless_these_are_unlikely(
     monkeypatch.setitem(RMS_MM, "contact", contact_mm)
     searched = search.begin("tip_mass wind contact")
     searched.add_effect_to(searched.comparer.base)
-    quick = [("tip_mass",), ("wind",)] if contact_mm > 1 else [("contact",)]
-    assert search.fits == quick
-    searched.add_further_effects(TOLERANCE_M)
+    waits = {each.comparison.causes: each.waits for each in searched.waiting}
+    assert waits["contact",] == (contact_mm > 1)
+    searched.search(TOLERANCE_M)
     assert (("contact",) in search.fits) == (contact_mm < 1)
     assert searched.is_complete
 
 
 def test_no_further_cause_is_ranked_when_the_time_is_up(search):
     """All effects are ranked once; in addition to causes only in time."""
-    for causes, count in (((), 4), (("wind",), 1)):
+    for is_known, count in ((False, 4), (True, 0)):
         search.ranked.clear()
         searched = search.begin("tip_mass clamp density_taper", seconds=0)
-        searched.add_effect_to(Comparison(causes, 0.0))
+        if is_known:
+            known = searched.comparer.fit(find_effects(["wind"]), None)
+            searched.compared["wind",] = searched.fitted["wind",] = known
+            search.fits.clear()
+        searched.search(TOLERANCE_M)
         assert len(search.ranked) == count
         assert not search.fits
-        assert searched.is_complete == bool(causes)
+        assert not searched.is_complete
 
 
 @pytest.fixture
@@ -394,7 +446,7 @@ def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
 
 
 @pytest.mark.parametrize(
-    ("mesh_fraction", "expected"), [(0.8, []), (0.3, [NO_CAUSE, ("tip_mass",)])]
+    ("mesh_fraction", "expected"), [(0.8, []), (0.3, [("tip_mass",), NO_CAUSE])]
 )
 def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
     explain_and_list, mesh_fraction, expected
@@ -590,6 +642,27 @@ def test_the_hidden_cause_is_the_most_evident_after_a_few_iterations(
     assert found[cause] > 0
 
 
+@pytest.mark.parametrize(
+    ("cause", "values"),
+    [
+        ("tip_mass", {"ratio": 0.02}),
+        ("wind", {"along_x": 0.4, "along_y": 0.0}),
+        ("time_offset", {"offset": 0.005}),
+    ],
+)
+def test_a_small_effect_is_compared_linearly_as_by_iterations(
+    arm, camera, observe, cause, values
+):
+    """It explains nearly all, so that little but noise is left."""
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
+    compare = Comparer(model, [observe({cause: values})], base, BLOCKS, None, seed=0)
+    (effect,) = find_effects([cause])
+    linear = compare.linear_square(effect)
+    assert linear < 0.7 * compare.screened_square(())
+    assert linear == pytest.approx(compare.screened_square((effect,)), rel=0.1)
+
+
 def test_no_effect_is_evident_where_none_is_hidden(screened):
     found = screened({}, ["tip_mass", "joint_gain"])
     assert max(found.values()) < 0
@@ -612,7 +685,7 @@ def test_a_coarse_mesh_compares_effects_without_its_error(
     compare = Comparer(model, [observe({})], base, BLOCKS, fit_model=None, seed=0)
     compare.screened_square(())
     monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
-    compare.screened_square(())
+    replace(compare).screened_square(())
     corrected, plain = noise_scales
     assert corrected < 0.5 * plain
 
