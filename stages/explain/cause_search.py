@@ -296,7 +296,7 @@ class CauseSearch:
             if effect.name not in comparer.base.causes:
                 squares[effect] = comparer.linear_square(effect)
         ranked = sorted(squares, key=lambda effect: squares[effect])
-        screened = []
+        screened: list[Finalist] = []
         for effect in ranked:
             square = squares[effect]
             if len(screened) < REFINED_EFFECTS:
