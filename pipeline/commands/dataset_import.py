@@ -30,18 +30,19 @@ from stringcast.pipeline.commands.imported_measurements import (
 from stringcast.stages.check.clocks import SAMPLING_REMEDY, describe_sampling
 from stringcast.stages.check.hanging_string import (
     HangingString,
+    RestingPoints,
     find_resting_points,
     fit_hanging_string,
 )
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.windows import possible_windows
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.report.formatting import format_count
 
 # joints of an arm whose angles our format holds; other arms are stored as hand poses
 FORMAT_JOINTS = 3
 MIN_FRAMES = 5  # of a trial: fewer show no motion
-MAX_HANGING_MISFIT = 0.05  # of the length: a heavy rod in a right hand is nearer
 # stands for an arm where poses of the hand are given
 UNUSED_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 METADATA_HEADER = """\
@@ -226,10 +227,13 @@ def measure_hanging_points(
     if resting is None:
         require_length(bench)
         raise DataError(
-            "it is unknown how far along the string each point is. "
-            "Give it in metres: --at tip=0.30."
+            "it is unknown how far along the string each point is: not all of them "
+            "were seen at rest. Film faster or begin earlier, or give the places in "
+            "metres: --at tip=0.30."
         )
     hanging = fit_hanging_string(resting, bench.length)
+    if not hanging.is_rod:
+        refuse_resting_points(resting, hanging)
     agreement = describe_hanging_string(hanging)
     length = bench.length or round(hanging.length, 4)
     if not bench.length:
@@ -259,16 +263,32 @@ def require_length(bench: BenchHints) -> float:
 
 def describe_hanging_string(hanging: HangingString) -> str:
     """Say how well points agree with a string that hangs at rest."""
-    text = (
-        f"it hangs at rest, in {format_count(hanging.trials, 'trial')} "
-        f"{1e3 * hanging.misfit_m:.1f} mm from a heavy rod"
+    trials = format_count(len(hanging.distances), "trial")
+    misfit = f"{MM_PER_M * hanging.misfit_m:.1f} mm"
+    return f"it hangs at rest, in {trials} {misfit} from a heavy rod"
+
+
+def refuse_resting_points(resting: RestingPoints, hanging: HangingString) -> None:
+    """Refuse points without arc lengths that do not hang from the hand."""
+    worst = int(np.nanmax(hanging.distances, axis=1).argmax())
+    hand = resting.hands[worst, :2]
+    places = [f"the hand rests at {format_place(hand)}"]
+    for name, place in zip(resting.names, resting.places[worst], strict=True):
+        places.append(f"{name or 'the point'} at {format_place(hand + place)}")
+    raise DataError(
+        "it is unknown how far along the string each point is: at rest they are "
+        f"{MM_PER_M * hanging.misfit_m:.0f} mm from a heavy rod in this hand. They are "
+        f"farthest from it in trial {resting.trials[worst]}: {', '.join(places)}. Look "
+        "at --links, --base and --length, at the order, signs and zeros of the joints "
+        "(--map q1=-elbow+90), at the unit and directions of x and y (--y-down), and "
+        "whether the last point is the string's end. If all are right, give the places "
+        "in metres: --at tip=0.30. A drawing then shows arm and string."
     )
-    if hanging.misfit_m > MAX_HANGING_MISFIT * hanging.length:
-        text += (
-            ", which is too far: are --links and --base right, and --length, and is "
-            "the last point its end?"
-        )
-    return text
+
+
+def format_place(xy: np.ndarray) -> str:
+    """Format a position (2,) [m]."""
+    return f"({xy[0]:.3f}, {xy[1]:.3f}) m"
 
 
 def describe_inferred_length(length: float, source: str) -> str:

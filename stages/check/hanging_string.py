@@ -22,6 +22,8 @@ from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 MAX_TRIALS = 12
+MAX_ROD_MISFIT = 0.05  # of the length: a heavy rod in a right hand is nearer
+MAX_REST_SPREAD = 0.03  # of the farthest point's distance from the hand
 PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand: nearer, it is at the grasp
 ROD_POINTS = 81
 INEXTENSIBLE = 1e7  # [N/(m kg)]
@@ -49,11 +51,14 @@ class RestingPoints:
         Poses of the hand (K, 3): x, y [m], theta [rad].
     places
         Of the points from the hand on (K, J, 2) [m]; NaN where one was not seen.
+    trials
+        Names of the trials.
     """
 
     names: tuple[str, ...]
     hands: np.ndarray
     places: np.ndarray
+    trials: tuple[str, ...]
 
     @property
     def chords(self) -> np.ndarray:
@@ -78,45 +83,58 @@ class HangingString:
     ----------
     arc_lengths
         By point, from the hand on [m].
-    misfit_m
-        Root mean square distance of the points from the fitted rod [m].
-    trials
-        Number of trials in which they were seen.
+    distances
+        Of the points from the fitted rod, (K, J) [m]; NaN where one was not seen.
     """
 
     arc_lengths: dict[str, float]
-    misfit_m: float
-    trials: int
+    distances: np.ndarray
 
     @property
     def length(self) -> float:
         """Arc length of the last point [m]."""
         return max(self.arc_lengths.values())
 
+    @property
+    def misfit_m(self) -> float:
+        """Root mean square distance of the points from the fitted rod [m]."""
+        return rms(self.distances[np.isfinite(self.distances)])
+
+    @property
+    def is_rod(self) -> bool:
+        """Whether the points are so near to the rod that it shows their places."""
+        return self.misfit_m <= MAX_ROD_MISFIT * self.length
+
 
 def find_resting_points(measured: Measurements) -> RestingPoints | None:
     """Find where points rest before the first motion, in trials that begin at rest.
 
-    None if no point was seen there away from the grasp.
+    None if a point was never seen at rest, or all are at the grasp.
     """
     resting = [r for r in measured.recordings if not r.starts_moving][:MAX_TRIALS]
     hands = [measured.pose(recording)[0] for recording in resting]
     unseen = np.full((len(resting), 2), np.nan)
     by_point: dict[str, np.ndarray] = {}
     for number, recording in enumerate(resting):
-        for track in recording.tracks:
+        from_hand = [track.rest_place - hands[number][:2] for track in recording.tracks]
+        reach = np.linalg.norm(from_hand, axis=1).max()
+        for track, place in zip(recording.tracks, from_hand, strict=True):
             in_each_trial = by_point.setdefault(track.point, unseen.copy())
-            in_each_trial[number] = track.rest_place - hands[number][:2]
+            if track.rest_spread <= MAX_REST_SPREAD * reach:
+                in_each_trial[number] = place
     if not by_point:
         return None
     places = np.stack([*by_point.values()], axis=1)  # (K, J, 2)
+    if np.isnan(places).all(axis=(0, 2)).any():
+        return None
     distances = np.nanmedian(np.linalg.norm(places, axis=-1), axis=0)
     if distances.max() < PLACE_ERROR_M:
         return None
     nearest_first = np.argsort(distances, kind="stable")
     names = [*by_point]
     ordered = tuple(names[point] for point in nearest_first)
-    return RestingPoints(ordered, np.array(hands), places[:, nearest_first])
+    trials = tuple(recording.name for recording in resting)
+    return RestingPoints(ordered, np.array(hands), places[:, nearest_first], trials)
 
 
 def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingString:
@@ -175,8 +193,7 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
     on_string = np.minimum(best[3:], best[-1])
     arc_lengths = on_string * (length or best[-1]) / best[-1]
     by_point = dict(zip(resting.names, map(float, arc_lengths), strict=True))
-    misfit_m = rms(distances[np.isfinite(distances)])
-    return HangingString(by_point, misfit_m, len(resting.hands))
+    return HangingString(by_point, distances)
 
 
 @dataclass(frozen=True)

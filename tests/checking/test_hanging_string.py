@@ -4,6 +4,8 @@ The elastica is solved as a boundary value problem, EI theta'' = lambda g (L - s
 cos(theta), and shares nothing with the rod that is fitted.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid, solve_bvp
@@ -47,7 +49,7 @@ def resting(gravity_length, curvature=0.0, noise_m=0.0):
     hands = np.column_stack([np.zeros(4), np.zeros(4), HAND_ANGLES])
     places = [elastica(theta, gravity_length, curvature) for theta in HAND_ANGLES]
     noise = noise_m * np.random.default_rng(0).standard_normal(np.shape(places))
-    return RestingPoints(NAMES, hands, places + noise)
+    return RestingPoints(NAMES, hands, places + noise, ("a", "b", "c", "d"))
 
 
 @pytest.mark.parametrize("length", [LENGTH_M, None])
@@ -91,7 +93,8 @@ def test_noise_moves_points_by_no_more_than_itself():
 def test_a_limp_string_hangs_straight_wherever_the_hand_points():
     hands = np.column_stack([np.zeros(4), np.zeros(4), HAND_ANGLES + 2.0])
     straight = np.column_stack([np.zeros(3), -PLACES_M])
-    limp = RestingPoints(NAMES, hands, np.repeat(straight[None], 4, axis=0))
+    straight_in_each = np.repeat(straight[None], 4, axis=0)
+    limp = RestingPoints(NAMES, hands, straight_in_each, ("a", "b", "c", "d"))
     for length in (LENGTH_M, None):
         found = fit_hanging_string(limp, length).arc_lengths
         np.testing.assert_allclose([*found.values()], PLACES_M, atol=5e-4)
@@ -106,7 +109,7 @@ def test_a_stated_length_is_kept_and_the_other_points_hang_where_they_do():
 def test_a_point_at_the_grasp_is_at_the_beginning_of_the_string():
     straight = np.array([[[0.0, 0.0], [0.0, -0.15], [0.0, -0.3]]])
     hand = np.array([[0.0, 0.0, -0.5]])
-    at_rest = RestingPoints(("grasp", "mid", "tip"), hand, straight)
+    at_rest = RestingPoints(("grasp", "mid", "tip"), hand, straight, ("a",))
     for length in (0.3, None):
         found = fit_hanging_string(at_rest, length).arc_lengths
         np.testing.assert_allclose([*found.values()], [0, 0.15, 0.3], atol=1e-3)
@@ -116,7 +119,7 @@ def test_no_point_is_beyond_the_end():
     """The mean of two points at the end is nearer to the hand than the end."""
     places = np.array([[[0.0, -0.3], [0.001, -0.3]], [[0.001, -0.301], [0.0, -0.299]]])
     hands = np.tile([0.0, 0.0, -0.5], (2, 1))
-    twice = RestingPoints(("one", "other"), hands, places)
+    twice = RestingPoints(("one", "other"), hands, places, ("a", "b"))
     found = fit_hanging_string(twice, 0.3).arc_lengths
     assert found["other"] == pytest.approx(0.3, abs=1e-12)
     assert found["one"] == pytest.approx(0.3, abs=2e-3)
@@ -144,10 +147,22 @@ def test_points_rest_where_they_were_at_first_seen_from_the_hand():
     ]
     found = find_resting_points(Measurements(tuple(recordings)))
     assert found.names == ("mid", "tip")
+    assert found.trials == ("a", "b")
     np.testing.assert_allclose(found.hands, [[0.1, 0, 1], [0.2, 0, 1]])
     np.testing.assert_allclose(found.places[0], [[0, -0.1], [0, -0.3]], atol=1e-12)
     assert np.isnan(found.places[1, 0]).all()
     np.testing.assert_allclose(found.chords, [0.1, 0.3])
+
+
+def test_a_point_that_moves_in_its_first_frames_does_not_rest():
+    """Filmed too slowly, the tip was at rest in a frame only."""
+    still = recording("still", 0.0, {"mid": -0.1, "tip": -0.3})
+    *others, tip = recording("slow", 0.0, {"mid": -0.1, "tip": -0.3}).tracks
+    moving_tip = replace(tip, xy=tip.xy + 0.01 * tip.t[:, None])
+    slow = replace(still, name="slow", tracks=(*others, moving_tip))
+    found = find_resting_points(Measurements((still, slow)))
+    np.testing.assert_array_equal(np.isfinite(found.places[..., 0]), [[1, 1], [1, 0]])
+    assert find_resting_points(Measurements((slow,))) is None
 
 
 @pytest.mark.parametrize(

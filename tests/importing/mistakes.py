@@ -502,7 +502,10 @@ FILE_MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     ),
     "ms named s": (with_both_times(lambda t: t * 1e3), "call the column t_ms"),
     "10 % NaN": (edited("tracker", lose(0.1)), "x is not a finite number"),
-    "90 % NaN": (edited("tracker", lose(0.9)), "too few are left to show anything"),
+    "90 % NaN": (
+        edited("tracker", lose(0.9)),
+        "too few are left to show anything|were seen before the hand moved",
+    ),
     "10 % NaN of the robot": (edited("robot", lose(0.1)), "not a finite number"),
     "outliers": (edited("tracker", throw_out), "jump away and back"),
     "tip hidden half of the time": (

@@ -509,18 +509,29 @@ def test_bad_points_and_a_hand_without_direction_are_no_measurements(tmp_path):
     np.testing.assert_allclose(recording.tracks[0].t, t[2:])
 
 
-@pytest.mark.parametrize(("end", "is_doubted"), [(0.3, False), (0.25, True)])
-def test_import_asks_whether_the_last_point_is_the_end_if_it_hangs_elsewhere(
-    tmp_path, end, is_doubted
-):
-    """The length is stated, and the tip may not have been tracked."""
-    arm = write(tmp_path, "arm.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
-    hung = {"mid_x": 0.1, "mid_y": 0.1, "end_x": 0.1, "end_y": 0.2 - end}
-    track = write(tmp_path, "track.csv", t=T, **hung)
-    made = convert_recordings(read(arm, track), BenchHints(length=0.3))
-    (note,) = made.notes
-    assert "the last at its end" in note
-    assert ("is the last point its end?" in note) == is_doubted
+def test_points_that_hang_as_of_another_string_are_not_placed(tmp_path):
+    """The length is stated, and the last point is not the tip.
+
+    In a second trial, x of the points counts to the left: no string reaches them.
+    """
+    arm = [
+        write(tmp_path, f"arm_{number}.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
+        for number in (1, 2)
+    ]
+
+    def track(number, x, end):
+        hung = {"mid_x": x, "mid_y": 0.1, "end_x": x, "end_y": 0.2 - end}
+        return write(tmp_path, f"track_{number}.csv", t=T, **hung)
+
+    bench = BenchHints(length=0.3)
+    right = convert_recordings(read(arm[0], track(1, 0.1, 0.3)), bench)
+    assert sorted(right.points["s"].unique()) == pytest.approx([0.1, 0.3], abs=1e-3)
+    with pytest.raises(DataError, match=r"last point is the string's end.*--at tip"):
+        convert_recordings(read(arm[0], track(1, 0.1, 0.25)), bench)
+    mirrored = read(*arm, track(1, 0.1, 0.3), track(2, -0.1, 0.3))
+    farthest = r"trial t2: the hand rests at \(0.100, 0.200\) m, mid at \(-0.100, 0.100"
+    with pytest.raises(DataError, match=farthest):
+        convert_recordings(mirrored, bench)
 
 
 def test_clocks_are_not_aligned_where_the_hand_of_no_string_is_known(tmp_path):

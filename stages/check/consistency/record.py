@@ -35,6 +35,12 @@ class Track:
         """Median position of the first frames (2,) [m]."""
         return np.asarray(np.median(self.xy[:REST_FRAMES], axis=0))
 
+    @property
+    def rest_spread(self) -> float:
+        """Largest distance of the first frames from their median position [m]."""
+        away = self.xy[:REST_FRAMES] - self.rest_place
+        return float(np.linalg.norm(away, axis=1).max())
+
 
 @dataclass(frozen=True)
 class Recording:
