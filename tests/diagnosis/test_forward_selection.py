@@ -15,6 +15,7 @@ from synthetic_trials import (
     swing_angles,
 )
 
+from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import cause_search, tables
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
@@ -33,6 +34,7 @@ from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesi
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.kept_results import MemoryStore, use_store
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
@@ -197,6 +199,16 @@ def test_a_cause_that_hardly_moves_the_tip_is_not_accepted(trial, shift, is_acce
     assert is_supported(data, parent, fit, CRITERIA) is is_accepted
 
 
+@pytest.fixture(scope="module")
+def heavy_tip_casts(arm, camera):
+    """Simulate casts that hide a tip mass.
+
+    Two diagnoses of them share their fits, because results of long calls are kept.
+    """
+    with use_store(MemoryStore()):
+        yield simulate_casts(arm, camera, {"tip_mass.ratio": 0.05})
+
+
 def diagnose_few_effects(model, trials, monkeypatch, **settings):
     """Diagnose trials with a small library."""
     library = {effect.name: effect for effect in find_effects(EFFECTS)}
@@ -249,8 +261,11 @@ def mean_over_cells(table, column):
     return table.groupby(["trial", moment, part])[column].mean().mean()
 
 
-def test_a_hidden_tip_mass_is_found_and_the_budget_adds_up(arm, camera, monkeypatch):
-    diagnosis = diagnose_casts(arm, camera, {"tip_mass.ratio": 0.05}, monkeypatch)
+def test_a_hidden_tip_mass_is_found_and_the_budget_adds_up(
+    arm, camera, heavy_tip_casts, monkeypatch
+):
+    model = Model(String(0.3), arm, camera)
+    diagnosis = diagnose_few_effects(model, heavy_tip_casts, monkeypatch)
     document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
     (cause,) = document["causes"]
     assert (document["verdict"], cause["effect"]) == ("effect", "tip_mass")
@@ -287,6 +302,33 @@ def test_a_hidden_tip_mass_is_found_and_the_budget_adds_up(arm, camera, monkeypa
     by_point = residuals.assign(decrease=base_square - extended_square)
     expected = mean_over_cells(by_point, "decrease")
     assert decrease == pytest.approx(expected, rel=1e-6)
+
+
+def interrupt(*given):
+    raise InterruptRequest
+
+
+def test_interrupted_accepted_causes_are_reported_and_none_is_named(
+    arm, camera, heavy_tip_casts, monkeypatch
+):
+    monkeypatch.setattr(module, "swap_lookalikes_until_stable", interrupt)
+    model = Model(String(0.3), arm, camera)
+    diagnosis = diagnose_few_effects(model, heavy_tip_casts, monkeypatch)
+    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    assert document["verdict"] == "insufficient"
+    assert document["interrupted"]
+    assert document["causes"] == []
+    sentence = document["unexplained"]["sentence"]
+    assert "interrupted; so far it had found tip mass (1.00)" in sentence
+    assert "cannot answer" not in diagnosis.sentence
+    rows = document["alternatives"]
+    probable = [row["effect"] for row in rows if row["probability"] > 0.5]
+    assert probable == ["tip_mass"]
+    extended = yaml.safe_load(diagnosis.finding["extended"].iloc[0])
+    assert extended["effects"] == []
+    assert len(diagnosis.held_out) == 0
+    assert diagnosis.hypotheses["causes"].str.contains("tip_mass").any()
+    assert set(diagnosis.entries["cause"]) == {"tip_mass"}
 
 
 def test_nothing_is_named_in_a_string_without_causes(arm, camera, monkeypatch):

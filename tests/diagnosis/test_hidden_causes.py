@@ -66,7 +66,12 @@ def test_nothing_is_named_where_nothing_is_hidden(diagnose):
     assert document["verdict"] in ("none", "effect")
 
 
+@pytest.mark.long
 def test_what_is_not_in_the_library_is_called_unknown(diagnose):
+    """A cause that the whole library lacks is called unknown.
+
+    `test_forward_selection` has a quicker test, of a cause that is excluded.
+    """
     document = diagnose(JUMP, only_cast=0)
     assert document["verdict"] == "unknown"
     assert document["causes"] == []

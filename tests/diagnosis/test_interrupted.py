@@ -1,45 +1,15 @@
 """An interrupted diagnosis reports its results so far, and names nothing."""
 
-import json
 from types import SimpleNamespace
 
 import pytest
-import yaml
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.common import InterruptRequest
 from stringcast.stages.diagnose import cause_search, verdict
-from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.selection_step import SelectionStep
-from tests.diagnosis import test_forward_selection
-from tests.diagnosis.test_forward_selection import diagnose_casts
-
-
-def interrupt(*given):
-    raise InterruptRequest
-
-
-def test_accepted_causes_are_reported_and_none_is_named(arm, camera, monkeypatch):
-    monkeypatch.setattr(module, "swap_lookalikes_until_stable", interrupt)
-    monkeypatch.setattr(test_forward_selection, "EFFECTS", ("tip_mass", "wind"))
-    diagnosis = diagnose_casts(arm, camera, {"tip_mass.ratio": 0.05}, monkeypatch)
-    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
-    assert document["verdict"] == "insufficient"
-    assert document["interrupted"]
-    assert document["causes"] == []
-    sentence = document["unexplained"]["sentence"]
-    assert "interrupted; so far it had found tip mass (1.00)" in sentence
-    assert "cannot answer" not in diagnosis.sentence
-    rows = document["alternatives"]
-    probable = [row["effect"] for row in rows if row["probability"] > 0.5]
-    assert probable == ["tip_mass"]
-    extended = yaml.safe_load(diagnosis.finding["extended"].iloc[0])
-    assert extended["effects"] == []
-    assert len(diagnosis.held_out) == 0
-    assert diagnosis.hypotheses["causes"].str.contains("tip_mass").any()
-    assert set(diagnosis.entries["cause"]) == {"tip_mass"}
+from tests.diagnosis.test_forward_selection import diagnose_casts, interrupt
 
 
 def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
