@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import chain
-from pathlib import Path
 from typing import NamedTuple
 
 from stringcast.pipeline.commands import COMMAND_NAMES
@@ -195,7 +195,8 @@ def check_setting(word: Word) -> Iterator[Answer]:
         x, y = to_metres(float(place[1])), to_metres(float(place[2]))
         fault = f"{word.text}: give each coordinate."
         yield Answer(fault, [f"target.x={x:g}", f"target.y={y:g}"])
-    if re.search(r"[,()\[\]{}]", word.value) and Path(word.value).exists():
+    # Not `Path.exists`, which raises an error for a list longer than a file name
+    if re.search(r"[,()\[\]{}]", word.value) and os.path.exists(word.value):
         fault = f"{word.text}: a path with commas or brackets needs quotes of its own."
         yield Answer(fault, [f'{word.name}="{word.value}"'])
     yield from check_choice(word)
@@ -225,7 +226,7 @@ def check_bare_word(word: Word) -> Iterator[Answer]:
     if is_setting(name) and value is not None:
         fault = f"{name}: write name and value together."
         yield Answer(fault, [write_setting(name, value)])
-    if Path(word.text).is_dir():
+    if os.path.isdir(word.text):
         fault = f"{word.text}: give a folder of trials as a setting."
         yield Answer(fault, [f"trials={word.text}"])
 

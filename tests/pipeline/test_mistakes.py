@@ -111,6 +111,8 @@ def test_what_pages_show_is_no_mistake(given, plugin):
         "source@plane=video",
         "hydra/launcher=joblib",
         "+specimen.hidden.wind.along_x=1",
+        # longer than a file's name may be
+        f"diagnose.excluded_effects=[{','.join(30 * ['grasp_play'])}]",
     ],
 )
 def test_what_is_right_is_left_alone(word):
