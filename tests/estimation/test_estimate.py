@@ -315,11 +315,11 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
 
     Every fit reaches the noise floor, and intervals hold the truth. Over 40 seeds from
     starts near the truth, 94.7 % of 320 did. A wrong covariance, or a fit that stops
-    before its minimum, loses more of the 80 here.
+    before its minimum, loses more of the 40 here.
     """
-    settings = {"starts": 4, "screening": 128, "iterations": 20, "matching": MATCHING}
+    settings = {"starts": 2, "screening": 64, "iterations": 20, "matching": MATCHING}
     inside, determined = [], []
-    for seed in range(10):
+    for seed in range(5):
         found = least_squares.estimate(
             Model(STRING, arm, camera),
             [observed(seed)],

@@ -10,10 +10,15 @@ import pytest
 from tests.faults.forked import struck_by
 
 
-def test_a_full_disk_is_told_and_a_run_and_a_sweep_go_on_to_the_same_result(tmp_path):
-    # a disk that is full, and a folder in which one may not write
-    struck = struck_by(tmp_path, "run:20", "sweep:58")
-    assert (len(struck["run"]), len(struck["sweep"])) == (1, 1)
+@pytest.mark.parametrize(
+    "operation", ["run:20", pytest.param("sweep:58", marks=pytest.mark.long)]
+)
+def test_a_full_disk_is_told_and_a_run_or_sweep_goes_on_to_the_same_result(
+    tmp_path, operation
+):
+    """The disk of the run is full; in the folder of the sweep one may not write."""
+    (struck,) = struck_by(tmp_path, operation).values()
+    assert len(struck) == 1
 
 
 @pytest.mark.long

@@ -1,10 +1,10 @@
 """Nothing half-written is ever read as whole, wherever the writing stops."""
 
 import errno
-import signal
-import subprocess
-import sys
+import os
 import time
+from itertools import count
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from stringcast.data.artifacts import Points, Trial
 from stringcast.data.schema import DataError
 from tests.faults.toy import Killed
 
-ROOT = Path(__file__).resolve().parents[2]
 OPERATIONS = ("make_folder", "write", "sync_folder", "rename")
 
 
@@ -193,33 +192,30 @@ def test_a_table_or_text_in_place_is_replaced_whole_or_not_at_all(
         assert (tmp_path / "run.json").read_text() in ("old", "new")
 
 
-WRITER = """
-import sys; sys.path[:0] = [{root!r}, {tests!r}]
-from itertools import count
-from test_store_faults import points, store
-from pathlib import Path
-for number in count(1):
-    store.save(points(float(number)), Path({folder!r}) / str(number % 3), {{}})
-    print(number, flush=True)
-"""
+def save_until_killed(folder, output):
+    """Save one artifact after another, and write the number of each to a pipe."""
+    for number in count(1):
+        store.save(points(float(number)), folder / str(number % 3), {})
+        os.write(output, b"%d\n" % number)
 
 
 def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
     tmp_path,
 ):
-    moments = np.random.default_rng(5).uniform(0.0, 0.05, 2)
-    code = WRITER.format(
-        root=str(ROOT), tests=str(Path(__file__).parent), folder=str(tmp_path)
-    )
+    moments = np.random.default_rng(5).uniform(0.0, 0.05, 4)
     for moment in moments:
-        writer = subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+        reader, output = os.pipe()
+        writer = get_context("fork").Process(
+            target=save_until_killed, args=(tmp_path, output)
         )
-        assert writer.stdout.readline() == "1\n"  # the writer has begun
-        time.sleep(moment)
-        writer.send_signal(signal.SIGKILL)
-        finished = int((["1", *writer.stdout.read().split()])[-1])
-        writer.wait()
+        writer.start()
+        os.close(output)
+        with open(reader) as said:
+            assert said.readline() == "1\n"  # the writer has begun
+            time.sleep(moment)
+            writer.kill()
+            finished = int((["1", *said.read().split()])[-1])
+        writer.join()
         # the artifact after these may have replaced the third
         for number in range(max(finished - 1, 1), finished + 1):
             assert value_of(tmp_path / str(number % 3)) >= number

@@ -5,9 +5,6 @@ As `new stage` writes it, it is found, run, kept and shown.
 
 import inspect
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -35,31 +32,21 @@ def lab(tmp_path_factory):
     return folder
 
 
-def run_with_stage(lab, *words):
-    """Return the exit status and output of a command with the stage."""
-    around = os.environ | {PLUGINS_VARIABLE: str(lab)}
-    call = [sys.executable, "-m", "stringcast", *map(str, words)]
-    done = subprocess.run(
-        call, cwd=lab.parent, env=around, capture_output=True, text=True, check=False
-    )
-    return done.returncode, done.stdout + done.stderr
-
-
 def test_a_new_stage_is_a_folder_and_a_group_of_settings(
-    lab, called, tmp_path, monkeypatch
+    lab, called, undrawn, tmp_path, monkeypatch
 ):
     run = tmp_path / "run"
-    status, words = run_with_stage(lab, *ASKED, f"hydra.run.dir={run}")
-    assert status == 0, words
+    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
+    done = called(*ASKED, f"hydra.run.dir={run}")
+    assert done.returncode == 0, done.stderr
     (place,) = run.glob("iterations/*/sway")
     made = pd.read_parquet(place / "farthest.parquet")
     assert len(made) == 5
     assert (made["sway"] > 0.01).all()
     sentence = f"The tip moves by at most {made['sway'].max():.3f} m."
-    assert sentence in words
+    assert sentence in done.stdout + done.stderr
     assert json.loads((run / "run.json").read_text())["sentence"] == sentence
     assert made["trial"].iloc[0] in (run / "report.html").read_text()
-    monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
     assert called("verify", run).returncode == 0
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(

@@ -7,7 +7,6 @@ second or two, are run, and print what the page says.
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -91,45 +90,55 @@ def test_what_a_page_calls_can_be_called(page, given, plugin):
 
 
 def code(page):
-    """Return lines of code of a page.
-
-    Each runs with the Python and the package of these tests.
-    """
+    """Return lines of code of a page, with calls of Python as `python`."""
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
-    calls = (
-        (".venv/bin/python -m pipeline", ".venv/bin/python -m stringcast"),
-        (".venv/bin/python", sys.executable),
-    )
-    for old, new in calls:
-        lines = [line.replace(old, new) for line in lines]
+    lines = [line.replace(".venv/bin/python", "python") for line in lines]
     return [line.strip() for line in lines if line.startswith("    ")]
 
 
-def test_the_first_ten_minutes_go_as_the_page_says(tmp_path):
+def perform_line(line, folder, called):
+    """Perform a line of a page in a folder; return its status and what it prints.
+
+    What it runs with Python is run in this process, the rest by a shell.
+    """
+    words = shlex.split(line)
+    if words[:2] == ["python", "-c"]:
+        exec(words[2], {})
+        return 0, ""
+    if words[:3] == ["python", "-m", "pipeline"]:
+        paths = {path.name: str(path) for path in folder.iterdir()}
+        done = called(*[paths.get(word, word) for word in words[3:]])
+    else:
+        done = subprocess.run(
+            ["bash", "-c", line], cwd=folder, capture_output=True, text=True, check=True
+        )
+    return done.returncode, done.stdout
+
+
+def test_the_first_ten_minutes_go_as_the_page_says(called, tmp_path, monkeypatch):
     """The first ten minutes run as the page says.
 
     All of data/README.md up to the diagnosis is run in an empty folder beside the
     sample.
     """
     (tmp_path / "data").symlink_to(ROOT / "data")
+    monkeypatch.chdir(tmp_path)
     lines = code("data/README.md")
     first, last = (
         lines.index(next(line for line in lines if line.endswith(end)))
         for end in ("-p mine", "check wrong")
     )
-    script = "\n".join(lines[first : last + 1])
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert "trial,t,q1,q2,q3" in done.stdout
-    usable, _, wrong = done.stdout.partition("Usable: 5 trials")
+    printed, status = "", 0
+    for line in lines[first : last + 1]:
+        assert status == 0, printed
+        status, words = perform_line(line, tmp_path, called)
+        printed += words
+        monkeypatch.chdir(tmp_path)
+    assert "trial,t,q1,q2,q3" in printed
+    usable, _, wrong = printed.partition("Usable: 5 trials")
     assert "Not usable" not in usable
     assert "Multiply x and y by 0.001" in wrong
-    assert (done.returncode, "Not usable" in wrong) == (1, True)
+    assert (status, "Not usable" in wrong) == (1, True)
 
 
 def test_short_commands_do_what_the_front_page_says(called, tmp_path):

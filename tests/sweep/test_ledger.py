@@ -114,7 +114,7 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
     pytest.importorskip(package)
     if name == "ray":
         settings = settings | {"address": request.getfixturevalue("cluster")}
-    ledger, keys = ledger_of_seeds(tmp_path / "sweep", 0, 1, 2, 3, 5)
+    ledger, keys = ledger_of_seeds(tmp_path / "sweep", 0, 2, 3)
     launch = getattr(launchers, name)
     ended_keys = list(
         launch(
@@ -126,10 +126,8 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
     assert sorted(ended_keys) == sorted(keys)
     assert states(ledger) == {
         0: DONE_STATE,
-        1: DONE_STATE,
         2: FAILED_STATE,
         3: FAILED_STATE,
-        5: DONE_STATE,
     }
     failed = {
         job.number: job.error for job in ledger.jobs() if job.state == FAILED_STATE
