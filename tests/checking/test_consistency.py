@@ -139,7 +139,9 @@ def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
     assert not find_answer(measured, verdict).proposals
 
 
-@pytest.mark.parametrize("seed", [0, 1, 4, 5])
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (4, 5))]
+)
 def test_a_string_with_a_set_is_a_warning(seed):
     """It rests bent, in a hand that is where it seems."""
     measured = scene_measurements("own_kernel", seed, set_per_m=-5.0)

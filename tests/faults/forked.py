@@ -137,6 +137,9 @@ def start(arguments, to):
     try:
         os.dup2(to, 1)
         os.dup2(to, 2)
+        # whatever a test has put in their places
+        sys.stdout = open(1, "w", buffering=1, closefd=False)  # noqa: SIM115
+        sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
         code = status(arguments)
     except BaseException:
         os.write(2, traceback.format_exc().encode())

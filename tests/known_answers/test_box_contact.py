@@ -243,12 +243,25 @@ def ledger(points, t, boxes, stiffness):
     )
 
 
+SWING_TIMES = np.arange(0, 0.8, 1e-4)
+UPPER_BOX = {"centre_x": 0.33, "centre_y": -0.14, "width": 0.1, "height": 0.08}
+LOWER_BOX = {"centre_x": 0.42, "centre_y": -0.28, "width": 0.1, "height": 0.1}
+
+
+@pytest.fixture(scope="module")
+def free_string():
+    """Simulate the string where the boxes are absent."""
+    return swing_string([UPPER_BOX, LOWER_BOX], SWING_TIMES)
+
+
 @pytest.mark.parametrize(
     "how",
     [{}, {"loss": 0.2}, {"friction": 0.3}],
     ids=lambda how: next(iter(how), "neither"),
 )
-def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how):
+def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(
+    free_string, how
+):
     """A string swung between two boxes stays outside and gains no energy.
 
     Its middle is caught by one box, its tip bounces off the other.
@@ -257,18 +270,15 @@ def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(how)
     m^2/s^2 where the boxes store 0.2 and the swing has 10, velocities being differences
     over 0.1 ms. With loss or friction it never rises again.
     """
-    stiffness = 1e5
-    upper = {"centre_x": 0.33, "centre_y": -0.14, "width": 0.1, "height": 0.08}
-    lower = {"centre_x": 0.42, "centre_y": -0.28, "width": 0.1, "height": 0.1}
-    t = np.arange(0, 0.8, 1e-4)
-    points = swing_string([upper, lower], t, stiffness=stiffness, **how)
-    free = swing_string([upper, lower], t)
+    stiffness, t = 1e5, SWING_TIMES
+    boxes = [UPPER_BOX, LOWER_BOX]
+    points = swing_string(boxes, t, stiffness=stiffness, **how)
     speed = np.linalg.norm(np.gradient(points, t, axis=0), axis=-1)
-    for box in (upper, lower):
+    for box in boxes:
         deep = depth(*points.T, box).T
         assert 1e-3 < deep.max() < speed[deep > 0].max() / np.sqrt(stiffness)
-        assert depth(*free.T, box).max() > 5 * deep.max()
-    energy = ledger(points, t, [upper, lower], stiffness)[(t > 0.26) & (t < 0.795)]
+        assert depth(*free_string.T, box).max() > 5 * deep.max()
+    energy = ledger(points, t, boxes, stiffness)[(t > 0.26) & (t < 0.795)]
     if how:
         assert energy[0] - energy[-1] > 0.04
         assert (energy - np.minimum.accumulate(energy)).max() < 3e-4

@@ -2,6 +2,8 @@
 
 The numbers do not depend on who runs the jobs, only missing jobs are run again, and
 failures are kept. Jobs leave no page of their own: it would be most of their time.
+Where no other launcher runs them, they are children of this process, which begin at
+once. `tests/pipeline/test_plugins.py` has a job that is a process of its own.
 """
 
 import importlib.util
@@ -15,6 +17,8 @@ import yaml
 from conftest import call_command
 
 from stringcast.data import store
+from stringcast.pipeline.sweep.attempt import Attempt
+from tests.faults import forked
 
 PACKAGES = {"joblib": "joblib", "ray": "ray", "slurm": "submitit"}
 HERE = {"joblib": "workers=2", "ray": "address=null", "slurm": "cluster=local"}
@@ -59,7 +63,15 @@ def trials(tmp_path_factory, arm):
 
 
 @pytest.fixture(scope="module")
-def swept(trials, tmp_path_factory):
+def forked_jobs():
+    """Run jobs of sweeps as children of this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Attempt, "_run_process", forked.process)
+        yield
+
+
+@pytest.fixture(scope="module")
+def swept(forked_jobs, trials, tmp_path_factory):
     """Run a sweep of two jobs on one thread, the first of which is refused.
 
     Returns its folder, and how the command ended.
