@@ -31,7 +31,8 @@ from stringcast.stages.model.lens import Lens
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
 ANGLES = ["q1", "q2", "q3"]
-TRIALS = ["t00", "t03", "t04"]
+# of which a model explains so much that no mistake is looked for where there is none
+TRIALS = ["t00", "t02", "t03"]
 AS_A_RUN = measured_sample()
 
 
@@ -184,6 +185,13 @@ def degrees_of_poses(dirty):
     dirty.with_poses().grasp["theta"] *= 180 / np.pi
 
 
+def degrees(dirty):
+    # in degrees, samples of the fastest trial would be spikes, too
+    dirty.arm = dirty.arm[dirty.arm["trial"] != "t02"].copy()
+    dirty.points = dirty.points[dirty.points["trial"] != "t02"]
+    dirty.arm[ANGLES] *= 180 / np.pi
+
+
 def sigma_in_mm(dirty):
     dirty.about["noise"] = {"point_sigma": 0.7}
 
@@ -252,7 +260,7 @@ CERTAIN = {
     "no trial left": (none_left, "points.csv valid", "a blank is false"),
     "shorter string": (length(0.8), "points.csv s, x, y", "Correct string.length"),
     "degrees": (
-        scaled("arm", ANGLES, 180 / np.pi),
+        degrees,
         "arm.csv q1, q2, q3",
         "Multiply them by pi / 180",
     ),
@@ -498,7 +506,7 @@ def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
     done = called("check", dirty.write(tmp_path))
     assert done.returncode == 1
     assert (
-        "error points.csv valid (trial t00, t03, t04): the trial is left out"
+        "error points.csv valid (trial t00, t02, t03): the trial is left out"
         in done.stdout
     )
     assert done.stdout.strip().endswith("Not usable: 1 error.")
