@@ -191,36 +191,49 @@ def test_a_clock_that_runs_slow_is_named_within_its_interval():
     assert found.drift.low < 0.02 < found.drift.high
 
 
+def clock_with(log_likelihoods, misfit_m):
+    """Stand for a fit with a log-likelihood and a misfit of each trial."""
+    by_trial = np.array(log_likelihoods)
+    fit = SimpleNamespace(log_evidence=by_trial.sum(), log_likelihood_by_trial=by_trial)
+    return SimpleNamespace(fit=fit, data=np.array(misfit_m))
+
+
 @pytest.mark.parametrize(
-    ("own_evidence", "left_m", "is_common"),
-    [(10.0, 0.01, False), (10.0, 0.08, True), (-10.0, 0.01, True)],
+    ("gains", "left_m", "is_common"),
+    [
+        ((10.0, 10.0), (0.01, 0.01), False),
+        ((10.0, 10.0), (0.08, 0.08), True),
+        ((-10.0, -10.0), (0.01, 0.01), True),
+        # one trial alone never decides, by its likelihood or by its misfit
+        ((90.0, -10.0), (0.01, 0.01), True),
+        ((90.0, 10.0), (0.01, 0.08), True),
+    ],
 )
 def test_own_clocks_need_evidence_and_explain_half_of_the_misfit(
-    own_evidence, left_m, is_common, monkeypatch
+    gains, left_m, is_common, monkeypatch
 ):
-    def fit(log_evidence, misfit_m):
-        return SimpleNamespace(
-            fit=SimpleNamespace(log_evidence=log_evidence), data=misfit_m
-        )
-
     window = Window(-0.3, 0.3)
     name = TRIALS[0].name
     by_trial = {name: Interval(0.0, -0.1, 0.1)}
-    together = FittedOffset(
-        ClockOffset(by_trial, False, None, pd.DataFrame()), [fit(0.0, 0.1)], [window]
-    )
-    apart = replace(together, clock=ClockOffset(by_trial, False, None, pd.DataFrame()))
-    joint_fit = fit(own_evidence, left_m)
+    clock = ClockOffset(by_trial, False, None, pd.DataFrame())
+    together = FittedOffset(clock, [clock_with((0.0, 0.0), (0.1, 0.1))], [window])
+    apart = replace(together, clock=replace(clock))
+    joint_fit = clock_with(gains, left_m)
     monkeypatch.setattr(offset, "_estimate_together", lambda *given: together)
     monkeypatch.setattr(offset, "_estimate_apart", lambda *given: (apart, joint_fit))
-    monkeypatch.setattr(
-        clock_fit, "unexplained_tip_rms", lambda data, fit: np.full(2, data)
-    )
+    monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
     observations = [seen.observation for seen in TRIALS[:2]]
     found = estimate_clock_offset(
         plain_model(CHECKED), observations, np.random.default_rng(0)
     )
     assert found.is_common == is_common
+
+
+def test_the_only_trial_decides_whether_its_clock_drifts(monkeypatch):
+    monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
+    without = clock_with([0.0], [0.1])
+    assert clock_fit.explains_more(clock_with([10.0], [0.01]), without)
+    assert not clock_fit.explains_more(clock_with([10.0], [0.08]), without)
 
 
 def test_offsets_that_scatter_beyond_their_posterior_state_by_how_much():
