@@ -22,6 +22,7 @@ from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.fit import (
     MIN_EXPLAINED_FRACTION,
     ClockFit,
+    OffsetProfile,
     effect_responses,
     explained_by_offset,
     explains_more,
@@ -76,11 +77,6 @@ class Interval(NamedTuple):
         """Return the interval of a value with a standard deviation."""
         half = HALF_WIDTH * deviation + floor
         return cls(float(value), float(value - half), float(value + half))
-
-    @property
-    def width(self) -> float:
-        """The width of the interval."""
-        return self.high - self.low
 
 
 @dataclass(frozen=True)
@@ -211,15 +207,19 @@ def _estimate_apart(
     Each trial is fitted alone, as offsets may be far apart. Then all are fitted
     together about these offsets. Returns the fit together as well.
     """
-    estimates = []
+    alone = {}
+    fits = []
+    windows = []
+    profiles = []
     for number, trial in enumerate(trials):
         (window,) = possible_windows([trial]).values()
         part = partial_progress(progress, number, len(trials) + 1)
-        estimates.append(_estimate_together(model, [trial], window, rng, part))
+        clock, profile = _fit_within(model, [trial], window, rng, part)
+        alone[trial.name] = window.middle + clock.offset
+        fits.append(clock)
+        windows.append(window)
+        profiles.append(_profile_table(trial, window, profile))
 
-    alone: dict[str, float] = {}
-    for estimate in estimates:
-        alone |= {name: each.value for name, each in estimate.clock.by_trial.items()}
     shifted = shift_observations([trial.observation for trial in trials], alone)
     part = partial_progress(progress, len(trials), len(trials) + 1)
     joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
@@ -234,10 +234,8 @@ def _estimate_apart(
         value = alone[name] + joint_fit.offset + mean
         by_trial[name] = Interval.from_deviation(value, deviation, floor)
     drift, _ = _estimate_drift(joint_fit, background)
-    clock = ClockOffset(by_trial, False, drift, estimates[0].clock.profile)
-    fits = [estimate.fits[0] for estimate in estimates]
-    windows = [estimate.windows[0] for estimate in estimates]
-    return FittedOffset(clock, fits, windows), joint_fit
+    offset = ClockOffset(by_trial, False, drift, profiles[0])
+    return FittedOffset(offset, fits, windows), joint_fit
 
 
 def _estimate_together(
@@ -248,19 +246,8 @@ def _estimate_together(
     progress: Progress,
 ) -> FittedOffset:
     """Estimate one offset of trials within a window."""
-    # The string model with the offset as a parameter
-    half_width = window.half_width + EDGE_S
-    names = [trial.name for trial in trials]
-    observations = [trial.observation for trial in trials]
-    shifted = shift_observations(observations, dict.fromkeys(names, window.middle))
-    clock = fit_clock(
-        model, shifted, half_width, rng, lambda share: progress(0.6 * share)
-    )
-    profile = profile_offset(clock, half_width)
-    rival = _rival_peak(profile.log_likelihood, profile.offsets, clock.offset)
-    if rival is not None:
-        clock = refit_from(clock, profile.chi[rival])
-    progress(0.8)
+    part = partial_progress(progress, 0, 2)
+    clock, profile = _fit_within(model, trials, window, rng, part)
 
     # The offset with every effect of the library
     background = effect_responses(clock)
@@ -271,19 +258,45 @@ def _estimate_together(
     interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
     progress(1.0)
 
+    estimate = ClockOffset(
+        by_trial=dict.fromkeys([trial.name for trial in trials], interval),
+        is_common=not _trials_differ(own, frame_s),
+        drift=drift,
+        profile=_profile_table(trials[0], window, profile),
+    )
+    return FittedOffset(estimate, [clock], [window])
+
+
+def _fit_within(
+    model: Model,
+    trials: Sequence[CheckedTrial],
+    window: Window,
+    rng: np.random.Generator,
+    progress: Progress,
+) -> tuple[ClockFit, OffsetProfile]:
+    """Fit the string with one offset of trials within a window, and profile it."""
+    half_width = window.half_width + EDGE_S
+    middle = {trial.name: window.middle for trial in trials}
+    shifted = shift_observations([trial.observation for trial in trials], middle)
+    clock = fit_clock(model, shifted, half_width, rng, progress)
+    profile = profile_offset(clock, half_width)
+    rival = _rival_peak(profile.log_likelihood, profile.offsets, clock.offset)
+    if rival is not None:
+        clock = refit_from(clock, profile.chi[rival])
+    return clock, profile
+
+
+def _profile_table(
+    trial: CheckedTrial, window: Window, profile: OffsetProfile
+) -> pd.DataFrame:
+    """Build the table of a profile, with the stretch that geometry sees in a trial."""
     offsets = window.middle + profile.offsets
     columns = {
         "offset": offsets,
-        "stretch": stretch_by_offset(trials[0], offsets),
+        "stretch": stretch_by_offset(trial, offsets),
         "log_likelihood": profile.log_likelihood - profile.log_likelihood.max(),
     }
-    estimate = ClockOffset(
-        by_trial=dict.fromkeys(names, interval),
-        is_common=not _trials_differ(own, frame_s),
-        drift=drift,
-        profile=pd.DataFrame(columns),
-    )
-    return FittedOffset(estimate, [clock], [window])
+    return pd.DataFrame(columns)
 
 
 def _common_offset(
