@@ -3,7 +3,7 @@
 // to in one is shown in all; so is the stretch of time that one of the charts is zoomed to.
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
-const LEGEND_PX = 32; // below a chart
+const LEAST_HEIGHT = 120; // of a chart above its legend [px]
 const STEPS = [1, 2, 5]; // of a length that is drawn beside a film, times a power of ten
 
 // A name of the theme, as it is now, or a colour.
@@ -204,7 +204,8 @@ class Chart {
     dark.addEventListener("change", () => this.again());
   }
   size() {
-    return { width: Math.max(this.box.clientWidth, 120), height: Math.max(this.box.clientHeight - LEGEND_PX, 210) };
+    const legend = this.box.querySelector(".u-legend"), below = legend ? legend.offsetHeight : 0;
+    return { width: Math.max(this.box.clientWidth, 120), height: Math.max(this.box.clientHeight - below, LEAST_HEIGHT) };
   }
   again() {
     if (this.plot && this.drawn === dark.matches) return;
@@ -226,6 +227,7 @@ class Chart {
         ready: [() => (this.ready = true)],
       },
     }, [this.data.t, ...this.data.lines.map((one) => one.values)], this.box);
+    this.plot.setSize(this.size()); // above its legend
     if (this.group.t !== null) this.show(this.group.t);
   }
   line(one) {

@@ -334,6 +334,17 @@ def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
     assert command == f"pipeline verify {pages['cast'].parent} <&>"
 
 
+@pytest.mark.parametrize("width", [PHONE, 1060])
+@pytest.mark.parametrize("name", ["cast", "diagnosis"])
+def test_no_curve_is_missing_in_a_legend(chromium, pages, name, width):
+    """Legends of one to five rows lie within their charts."""
+    page = opened(chromium, pages[name], width=width)
+    bottoms = "[...document.querySelectorAll('.plot')].map(e => [e, e.querySelector('.u-legend')].map(b => b.getBoundingClientRect().bottom))"
+    page.wait(f"{bottoms}.every(([plot, legend]) => legend <= plot + 1)")
+    heights = "[...document.querySelectorAll('.plot .u-wrap')].map(e => e.clientHeight)"
+    assert min(page.ask(heights)) >= 120
+
+
 def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):
     page = opened(chromium, pages["cast"])
     light = page.ask("groups[0].members[1].plot.series[1].stroke()")
