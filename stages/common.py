@@ -56,7 +56,7 @@ def partial_progress(progress: Progress, number: int, count: int) -> Progress:
 
 def readable_name(name: str) -> str:
     """Write the name of an effect or a parameter for people."""
-    return name.replace("_", " ")
+    return name.replace("_", " ").replace(".", ": ")
 
 
 def describe_causes(names: Sequence[str]) -> str:

@@ -233,8 +233,7 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     """Describe the outcome of the casts in a sentence."""
     last = iterations[-1]
     explanation = last.find(Explanation)
-    causes = explanation.named_causes if explanation is not None else ()
-    lacked = f"The model lacked {describe_causes(causes)}." if causes else ""
+    lacked = describe_lack(explanation) if explanation is not None else ""
     if last.has_hit:
         sentence = f"The tip reached the target in cast {last.number}."
         return f"{sentence} {lacked}".strip()
@@ -245,6 +244,16 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     readings = points.readings
     reasons = [describe_arm_misfit(readings), describe_poor_reading(readings)]
     return " ".join([sentence, *filter(None, [lacked, *reasons])])
+
+
+def describe_lack(explanation: Explanation) -> str:
+    """Say which causes the model lacked, or may lack; empty if none is probable."""
+    if explanation.verdict not in ("cause", "candidates", "partial"):
+        return ""
+    causes, probability = next(iter(explanation.cause_sets.items()))
+    if explanation.named_causes:
+        return f"The model lacked {describe_causes(causes)}."
+    return f"The model may lack {describe_causes(causes)} ({probability:.2f})."
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

@@ -118,7 +118,10 @@ def _decide_about(
     if not noise_ratios.are_noise:
         caveat = "more than noise is left: others may act"
     elif not noise_ratios.explain_half:
-        caveat = "not where the mesh resolves the string"
+        caveat = (
+            "less than half of the misfit is explained where the error of the mesh is "
+            "below the noise"
+        )
     elif not is_checked:
         caveat = TIME_IS_UP
     if caveat:

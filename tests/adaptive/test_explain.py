@@ -102,7 +102,7 @@ def test_a_cause_that_explains_only_what_the_mesh_does_not_resolve_is_not_named(
     found = fitted("density_taper", 80.0, 0.001)
     verdict, sentence = decided(found, ratio_without=1.4)
     assert verdict == "candidates"
-    assert "not where the mesh resolves the string" in sentence
+    assert "less than half of the misfit is explained" in sentence
     assert decided(found, ratio_without=1.5)[0] == "cause"
 
 

@@ -11,6 +11,7 @@ from stringcast.data.explanations import EXPLANATION_SUMMARY, EXPLANATIONS, Expl
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Cast
+from stringcast.pipeline.modes.cast import describe_lack
 from tests.faults.toy import (
     STAGES,
     Killed,
@@ -112,6 +113,15 @@ def test_an_adaptive_run_is_verified_to_the_bit(whole, tmp_path):
 def test_a_run_says_what_its_model_lacked(whole):
     sentence = json.loads((whole / "run.json").read_text())["sentence"]
     assert "The model lacked wind." in sentence
+    named = load(Explanation, whole / "iterations/02/explanation")
+    for verdict, words in {
+        "candidates": "The model may lack wind (1.00).",
+        "partial": "The model may lack wind (1.00).",
+        "unknown": "",
+        "not asked": "",
+    }.items():
+        finding = named.finding.assign(verdict=verdict)
+        assert describe_lack(replace(named, finding=finding)) == words
 
 
 def test_nothing_is_learned_from_a_trial_that_cannot_be_read(tmp_path):

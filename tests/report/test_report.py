@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Motion, Points, Trial
 from stringcast.data.estimates import Estimate
-from stringcast.stages.common import interpolate_rows
+from stringcast.stages.common import interpolate_rows, readable_name
 from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
@@ -123,6 +123,7 @@ def estimated(rng, t, symbols=STRING.parameters):
         "after": 0.9,
         "rms_before": 0.0456,
         "rms_after": 0.0123,
+        "mesh_error": 0.0021,
         "rejected": 3,
     }
     matching = pd.DataFrame(
@@ -471,12 +472,18 @@ def test_the_tips_way_is_not_guessed_across_long_gaps(record):
     )
 
 
+def test_parameters_of_effects_are_named_for_people():
+    assert readable_name("tip_mass.ratio") == "tip mass: ratio"
+    assert readable_name("axial_stiffness") == "axial stiffness"
+
+
 def test_numbers_are_those_of_the_run(page):
     for words in (
         "24 mm",
         "4 mm closest distance",
         "0.400 → 0.900",
         "45.6 mm → 12.3 mm",
+        "without the error of the mesh, 2.1 mm, that charts show",
         "at 252 ms of a movement",
         "a joint leaves its range",
         "4320",

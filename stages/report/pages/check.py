@@ -29,7 +29,7 @@ MAX_DRAWN_TRIALS = 10  # of 130 kB each, so that a page stays below 1.5 MB
 TRIALS_LEAD = (
     "Top: arm and string at the start, and fainter later; the string must begin in "
     "the hand and hang from it. Below: positions and speeds of hand and tip, each on "
-    "its own clock; both must begin to move at the same time (dotted)."
+    "its own clock; the tip must begin to move with the hand or soon after (dotted)."
 )
 
 

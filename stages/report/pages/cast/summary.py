@@ -79,15 +79,22 @@ def _tiles(record: RunRecord) -> Tiles:
         share = format_percent(readings["valid"].mean())
         meaning += f"; the string was read in {share} of the frames"
     rates = sizes = "not estimated"
+    mesh_error_m = 0.0
     if record.estimates:
         rate_before, rate_after, before, after = _fit_quality(
             record.estimates[-1].fit.iloc[0]
         )
         rates, sizes = f"{rate_before} → {rate_after}", f"{before} → {after}"
+        mesh_error_m = record.estimates[-1].mesh_error_m
     rate_meaning = (
         "matching rate E of the last cast, before and after estimation (1 is perfect)"
     )
     size_meaning = "rms distance of simulated and measured string, before and after"
+    if mesh_error_m:
+        mesh_error = format_mm(mesh_error_m, 1)
+        size_meaning += (
+            f"; without the error of the mesh, {mesh_error}, that charts show"
+        )
     return Tiles([(distance, meaning), (rates, rate_meaning), (sizes, size_meaning)])
 
 
