@@ -38,7 +38,7 @@ from stringcast.stages.explain.decision import (
     decide,
     posterior_probabilities,
 )
-from stringcast.stages.explain.noise_ratios import compare_with_noise
+from stringcast.stages.explain.noise_ratios import MAX_NOISE_RATIO, compare_with_noise
 from stringcast.stages.inference.likelihood import time_blocks
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
@@ -132,7 +132,7 @@ def explain(
     explaining = best if explains_half(best, base) else base
     noise_ratios = search.noise_ratios_of(explaining)
     # with three effects, false ones may fit a few trials: others are compared first
-    is_checked = not search.is_cut_short or best.causes in earlier
+    is_checked = not search.is_cut_short or are_confirmed(best, earlier, observations)
     verdict, sentence = decide(
         compared,
         probabilities,
@@ -164,6 +164,22 @@ def reason_to_seek_no_cause(
     if noise_ratios.leave_mesh_error:
         return "The model leaves the error of its mesh"
     return ""
+
+
+def are_confirmed(
+    best: Comparison,
+    earlier: Sequence[tuple[str, ...]],
+    observations: Sequence[Observation],
+) -> bool:
+    """Return whether causes were likely before, and leave only noise in whole trials.
+
+    What the mesh does not resolve confirms no cause. A turned grasp passed for wind on
+    string A: until the string whipped it left only noise, and of whole casts 3 times as
+    much.
+    """
+    if best.causes not in earlier or best.estimate is None:
+        return False
+    return rms_m(best.estimate) <= MAX_NOISE_RATIO * noise_m(observations)
 
 
 def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:

@@ -21,6 +21,7 @@ from stringcast.stages.explain.cause_search import Budget, CauseSearch
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
 from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import (
+    are_confirmed,
     earlier_causes,
     explain,
     next_most_evident,
@@ -345,6 +346,20 @@ def test_several_causes_are_not_named_before_rivals_were_compared():
     verdict, sentence = decide(*given, is_checked=False)
     assert verdict == "candidates"
     assert "time was used up" in sentence
+
+
+def test_causes_are_confirmed_by_further_trials_that_they_explain_as_a_whole():
+    """A turned grasp stood for wind in two casts, where the mesh resolves the string.
+
+    It left 3 mm of the whole casts, and wind leaves the noise of 1 mm.
+    """
+    points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
+    trials = [SimpleNamespace(points=points)]
+    causes = ("rest_curvature", "tip_mass", "wind")
+    right = fitted(" ".join(causes), 300.0, 1.05e-3)
+    assert are_confirmed(right, [causes], trials)
+    assert not are_confirmed(right, [("tip_mass", "wind")], trials)
+    assert not are_confirmed(fitted(" ".join(causes), 200.0, 3e-3), [causes], trials)
 
 
 def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
