@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib import import_module
@@ -203,7 +204,8 @@ def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
     next_steps = []
     if overview["usable"]:
         question = "What does the simulation get wrong in these trials, and why?"
-        arguments = f"+experiment=diagnose trials={checked.data.folder}"
+        folder = shlex.quote(str(checked.data.folder))
+        arguments = f"+experiment=diagnose trials={folder}"
         next_steps.append((question, f"{program_name()} {arguments}"))
     origin = {"code": code_state(), "files": dict(checked.data.hashes)}
     text: str = check_page(checked, overview, origin, next_steps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -112,7 +113,7 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
     if not origins:
         raise DataError(
             f"{run}: the run has made nothing yet. "
-            f"`python -m pipeline resume {run}` continues it."
+            f"`python -m pipeline resume {shlex.quote(str(run))}` continues it."
         )
     first = origins[0]
     code = UNKNOWN_CODE | first["code"]

@@ -128,7 +128,7 @@ def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, An
     if folder.exists():
         raise UserError(
             f"--to {folder}: the folder exists already. Name another one, or remove "
-            f"it: rm -r {folder}"
+            f"it: rm -r {shlex.quote(str(folder))}"
         )
     recordings = read_recordings(options.files)
     tables, imported, checked = interpret_recordings(recordings, options, console)

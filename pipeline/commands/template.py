@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
     files = f"{hand_table.name}.csv, {POINTS.name}.csv, {DATASET_FILE}"
     console = Terminal()
     console.print_line(f"{folder}: {files}. Fill them in.")
-    console.print_line(f"Then: {program_name()} check {folder}")
+    console.print_line(f"Then: {program_name()} check {shlex.quote(str(folder))}")
     return 0
 
 

@@ -6,6 +6,7 @@ It shows the run on the terminal and keeps it in the run's folder.
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,8 @@ def main(config: DictConfig) -> float | None:
         run_folder.remove_empty_folder(folder)
         sys.exit(1)
     except KeyboardInterrupt as error:
-        command = with_program_name(f"python -m pipeline resume {folder}")
+        resume = f"python -m pipeline resume {shlex.quote(str(folder))}"
+        command = with_program_name(resume)
         console.print_line(f"Interrupted. Continue after the last step: {command}")
         sys.exit(interrupt_status(error))
     if result.last_estimate is None:

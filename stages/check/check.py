@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
@@ -83,6 +84,5 @@ def refuse_errors(dataset: CheckedDataset) -> None:
     if errors:
         folder = dataset.data.folder
         more = f"{len(errors) - 1} more" if len(errors) > 1 else "All findings"
-        raise DataError(
-            f"{folder}: {errors[0].sentence} {more}: python -m pipeline check {folder}"
-        )
+        command = f"python -m pipeline check {shlex.quote(str(folder))}"
+        raise DataError(f"{folder}: {errors[0].sentence} {more}: {command}")

@@ -287,9 +287,10 @@ class Chart {
   }
 }
 
-// Commands name the folder in which this page lies, wherever it was moved to.
+// Commands name the folder in which this page lies, wherever it was moved to, as a word of the shell.
 const path = decodeURIComponent(location.pathname).replace(/\/[^/]*$/, "").replace(/^\/(?=[A-Za-z]:)/, "");
-for (const place of document.querySelectorAll(".here")) place.textContent = path;
+const word = /[^\w@%+=:,./-]/.test(path) ? `'${path.replaceAll("'", `'"'"'`)}'` : path;
+for (const place of document.querySelectorAll(".here")) place.textContent = word;
 
 // After the first paint, which need not wait for any of it.
 const groups = [];

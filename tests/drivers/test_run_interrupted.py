@@ -52,12 +52,12 @@ def interrupt_command(number, record, *arguments):
 
 
 def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(tmp_path):
-    record, folder = tmp_path / "record", tmp_path / "run"
+    record, folder = tmp_path / "record", tmp_path / "a run"
     asked = (*SMALL, f"hydra.run.dir={folder}")
     status, words = interrupt_command(signal.SIGTERM, record, *asked)
     assert status == 143
     assert (
-        f"-m pipeline resume {folder}"
+        f"-m pipeline resume '{folder}'"
         in words.partition("Continue after the last step: ")[2]
     )
     assert not (folder / "run.json").exists()

@@ -4,6 +4,7 @@ The browser complains of nothing, and interactive elements respond.
 """
 
 import json
+import shlex
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -156,7 +157,7 @@ def pages(arm, camera, tmp_path_factory):
 
     Their drawings are empty, because other tests cover them.
     """
-    folder = tmp_path_factory.mktemp("pages")
+    folder = tmp_path_factory.mktemp("the arm's pages")
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
@@ -331,7 +332,8 @@ def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
 def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
     page = opened(chromium, pages["cast"])
     command = page.ask("document.querySelector('.commands dd').textContent")
-    assert command == f"pipeline verify {pages['cast'].parent} <&>"
+    folder = shlex.quote(str(pages["cast"].parent))
+    assert command == f"pipeline verify {folder} <&>"
 
 
 @pytest.mark.parametrize("width", [PHONE, 1060])
