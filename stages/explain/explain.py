@@ -23,7 +23,12 @@ from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
+from stringcast.stages.explain.cause_search import (
+    MAX_CAUSES,
+    Budget,
+    CauseSearch,
+    Finalist,
+)
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
     Comparer,
@@ -132,7 +137,11 @@ def explain(
     explaining = best if explains_half(best, base) else base
     noise_ratios = search.noise_ratios_of(explaining)
     # with three effects, false ones may fit a few trials: others are compared first
-    is_checked = not search.is_cut_short or are_confirmed(best, earlier, observations)
+    is_named = previous is not None and previous.named_causes == best.causes
+    are_rivals_compared = bool(search.extended) and not search.is_cut_short
+    is_checked = (
+        is_named or are_rivals_compared or are_confirmed(best, earlier, observations)
+    )
     verdict, sentence = decide(
         compared,
         probabilities,
@@ -197,7 +206,7 @@ def next_most_evident(
     """Return the most evident causes of earlier trials other than the likely ones.
 
     They are fitted again if no effect helps in addition to the likely ones: an effect
-    that is added to them may explain more.
+    that is added to them may explain more. So they are less than MAX_CAUSES.
     """
     if not likely:
         return []
@@ -206,7 +215,8 @@ def next_most_evident(
     evidence = table["log_evidence"].to_numpy()
     sets = zip(previous.cause_sets, is_fitted, evidence, strict=True)
     for causes, was_fitted, log_evidence in sets:
-        if was_fitted and causes and causes not in likely:
+        is_extendable = 0 < len(causes) < MAX_CAUSES
+        if was_fitted and is_extendable and causes not in likely:
             compared = Comparison(causes, float(log_evidence))
             return [Finalist(find_effects(causes), comparer, compared)]
     return []

@@ -149,12 +149,13 @@ def test_the_next_most_evident_causes_are_fitted_after_the_likely_ones():
     probabilities = {
         "gravity_direction tip_mass": 0.9,
         "gravity_direction rest_curvature": 0.1,
+        "gravity_direction tip_mass wind": 1e-4,
         "tip_mass wind": 1e-5,
         "tip_mass": 1e-20,
         "clamp": 1e-30,
     }
     previous = earlier(probabilities, "candidates")
-    *likely, following = [tuple(names.split()) for names in probabilities][:3]
+    *likely, _, following = [tuple(names.split()) for names in probabilities][:4]
     assert earlier_causes(previous) == likely
     (finalist,) = next_most_evident(previous, likely, None)
     assert finalist.comparison.causes == following
@@ -362,6 +363,29 @@ def test_causes_are_confirmed_by_further_trials_that_they_explain_as_a_whole():
     assert not are_confirmed(fitted(" ".join(causes), 200.0, 3e-3), [causes], trials)
 
 
+@pytest.mark.parametrize(
+    ("before", "left_m", "expected"),
+    [
+        ("candidates", 0.003, "candidates"),
+        ("candidates", 0.001, "cause"),
+        ("cause", 0.003, "cause"),
+    ],
+)
+def test_several_causes_are_not_named_if_nothing_was_compared(
+    explain_and_list, before, left_m, expected
+):
+    """A tilt of gravity stood for wind in the look, and left 1.4 mm of the cast.
+
+    Nothing was left where the mesh resolves the string, so that nothing was sought.
+    """
+    causes = "gravity_direction tip_mass"
+    previous = earlier({causes: 1.0}, before)
+    known = {"ratio": 1.0, "known_m": left_m, "causes": causes}
+    assert explain_and_list(0.04, previous, **known) == []
+    *_, finding, _ = explain_and_list.arguments
+    assert finding["verdict"] == expected
+
+
 def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
@@ -414,6 +438,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
         is_surprising=False,
         known_m=0.005,
         mesh_fraction=0.0,
+        causes="tip_mass",
     ):
         extended = []
 
@@ -421,14 +446,14 @@ def explain_and_list(monkeypatch, arm, camera, observe):
             extended.append(base.causes)
             search.extended.add(base.causes)
 
-        found = fitted("tip_mass", 20.0, known_m)
+        found = fitted(causes, 20.0, known_m)
         monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
         monkeypatch.setattr(CauseSearch, "noise_ratios_of", lambda *given: ratios)
         for name in ("build_explanation", "estimate_without_causes"):
-            monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: None)
-        explain(
+            monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: given)
+        explanation = explain(
             Model(implicit_string(12, 1e-3), arm, camera),
             [observe({})],
             fitted("", 0.0, left_m).estimate,
@@ -444,6 +469,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
             iterations=1,
             matching=None,
         )
+        explain_trial.arguments = explanation
         return extended
 
     return explain_trial
