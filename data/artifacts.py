@@ -82,7 +82,7 @@ MOTION_OUTCOME = Table(
         cast at t_hit, where there was a last cast
     correction [m] (optional): distance by which that error moves the tip at t_hit
     limit (text, optional): what makes a hit unlikely, where it is: uncertainty,
-        obstacle or arm
+        obstacle, arrival or arm
     likely_x [m] (optional): centre of the nearest box that a motion is likely to hit
     likely_y [m] (optional): the same
     likely_chance [1] (optional): predicted probability of this hit

@@ -35,6 +35,7 @@ class HitResult:
     touched : number of frames of the movement in which the string lies in an obstacle
     speed : of the tip at that time [m/s]; NaN without a tip
     direction : of its velocity, counter-clockwise from x [rad]; NaN without a tip
+    entered : whether the tip was in the box, however it moved
     """
 
     hit: bool
@@ -43,6 +44,7 @@ class HitResult:
     touched: int = 0
     speed: float = np.nan
     direction: float = np.nan
+    entered: bool = False
 
     @classmethod
     def unknown(cls) -> HitResult:
@@ -110,6 +112,7 @@ def hit_test(
         len(contact_times),
         speed=float(np.linalg.norm(velocity)),
         direction=float(np.arctan2(velocity[1], velocity[0])),
+        entered=bool(target.is_crossed_along(path).any()),
     )
 
 

@@ -239,6 +239,12 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
         return f"{sentence} {lacked}".strip()
     tries = f"{last.number} cast{'s' if last.number > 1 else ''}"
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
+    verdict = last.verdict
+    if verdict is not None and verdict.entered and not verdict.touched:
+        sentence += (
+            f" In cast {last.number} it came into the box, but not in the wanted "
+            "direction or at the wanted speed."
+        )
     points = last.find(Points)
     assert points is not None
     readings = points.readings

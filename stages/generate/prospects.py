@@ -29,11 +29,14 @@ LIKELY_HIT = 0.8
 MAX_BOXES = 200  # that are tried
 MIN_LEARNING_RATIO = 0.7  # of uncertainties: a gain that is worth a cast
 UNCERTAINTY, OBSTACLE, ARM = "uncertainty", "obstacle", "arm"
+ARRIVAL = "arrival"
 REASONS = {
     UNCERTAINTY: "most of the likely strings could hit, but by different motions",
     OBSTACLE: "on the best motion found, most strings touch an obstacle first",
     ARM: "no motion found within the arm's limits brings most of the likely strings "
     "there",
+    ARRIVAL: "the best motion found brings most of the likely strings there, but not "
+    "in the wanted direction or at the wanted speed",
 }
 
 
@@ -75,6 +78,8 @@ def find_prospects(
         limit = OBSTACLE
     elif hits.any(axis=0).mean() >= UNLIKELY_HIT:
         limit = UNCERTAINTY
+    elif is_limited_by_arrival(task, motions[chosen]):
+        limit = ARRIVAL
     prospects: dict[str, float | str] = {"limit": limit}
 
     for motion, box in likely_boxes(task, motions):
@@ -90,6 +95,15 @@ def find_prospects(
         prospects["tip_sd"] = float(tip_sd[chosen])
         prospects["taught_sd"] = float(tip_sd.min())
     return prospects
+
+
+def is_limited_by_arrival(task: CastTask, motion: SimulatedMotions) -> bool:
+    """Return whether a motion would hit if direction and speed did not matter."""
+    if not task.target.restricts_arrival:
+        return False
+    box = replace(task.target, direction=None, speed=None)
+    hits = motion.judge(replace(task, target=box)).hit
+    return bool(hits.mean() >= UNLIKELY_HIT)
 
 
 def likely_boxes(

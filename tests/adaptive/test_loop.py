@@ -2,16 +2,19 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
 
+from stringcast.data.artifacts import READINGS, Points
 from stringcast.data.estimates import Estimate
 from stringcast.data.explanations import EXPLANATION_SUMMARY, EXPLANATIONS, Explanation
 from stringcast.data.store import load
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Cast
-from stringcast.pipeline.modes.cast import describe_lack
+from stringcast.pipeline.modes.cast import cast_outcome, describe_lack
+from stringcast.stages.hit_test import HitResult
 from tests.faults.toy import (
     STAGES,
     Killed,
@@ -156,3 +159,14 @@ def test_verify_notices_another_explanation(whole, tmp_path):
     outcome = verify_run(adaptive(explain=other), whole, tmp_path, silent)
     assert not outcome.is_same
     assert "iterations/02/explanation: DIFFERS" in outcome.lines
+
+
+@pytest.mark.parametrize("entered", [True, False])
+def test_a_tip_that_came_into_the_box_in_another_way_is_stated(entered):
+    """It came within 8 mm of the centre, at 8 m/s where 14 m/s were wanted."""
+    found = {Points: SimpleNamespace(readings=READINGS.empty())}
+    verdict = HitResult(False, 0.25, 0.008, entered=entered)
+    cast = SimpleNamespace(number=2, has_hit=False, verdict=verdict, find=found.get)
+    sentence = cast_outcome([cast])
+    assert sentence.startswith("The tip did not reach the target in 2 casts")
+    assert ("wanted direction" in sentence) == entered

@@ -585,6 +585,25 @@ def test_what_makes_a_hit_unlikely_is_stated(model):
     assert "obstacle" in sentence
 
 
+def test_that_a_motion_hits_only_with_another_arrival_is_stated(model):
+    """The tip of a hanging string never arrives at 100 m/s."""
+    draws = sample_uncertainty(
+        model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
+    )
+    swing = plain_cast(model.arm, 0.6)
+    anywhere = CastTask(model, Target(0.0, 0.0, 0.02, 0.04), ())
+    x, y = simulate_motions(anywhere, swing, draws).points[0, -1, -1]
+    target = Target(float(x), float(y), 0.02, 0.04)
+    assert predict_outcome(replace(anywhere, target=target), swing, draws).hit.all()
+    fast = replace(target, speed=100.0, speed_tolerance=1.0)
+    found, sentence = prospects(replace(anywhere, target=fast), swing, draws)
+    assert found["limit"] == "arrival"
+    assert "not in the wanted direction or at the wanted speed" in sentence
+    far = replace(fast, x=-2.0)
+    found, _ = prospects(replace(anywhere, target=far), swing, draws)
+    assert found["limit"] == "arm"
+
+
 def test_the_refinement_drops_the_worse_half_of_its_searches_in_turn(
     model, monkeypatch
 ):

@@ -165,7 +165,11 @@ def test_speed_and_direction_of_a_straight_flight(angle):
 )
 def test_the_tip_must_arrive_as_wanted(wanted, hit):
     target = replace(BOX, **wanted)
-    assert hit_test(flight(3.1, 8.0), target, (), 0.1).hit == hit
+    verdict = hit_test(flight(3.1, 8.0), target, (), 0.1)
+    assert verdict.hit == hit
+    assert verdict.entered
+    beside = replace(target, x=target.x + 1.0)
+    assert not hit_test(flight(3.1, 8.0), beside, (), 0.1).entered
 
 
 def test_of_two_passages_the_one_that_counts_is_reported():
