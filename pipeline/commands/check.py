@@ -297,7 +297,7 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
 def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with a row for each usable trial."""
     table = Table(box=None, pad_edge=False)
-    table.add_column("trial")
+    table.add_column("trial", overflow="fold")
     for heading in NUMBER_HEADINGS:
         table.add_column(escape(heading), justify="right")
     table.add_column("begins")
@@ -320,7 +320,7 @@ def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with a row for each parameter that is an effect's size."""
     table = Table(box=None, pad_edge=False)
-    table.add_column("effect")
+    table.add_column("effect", overflow="fold")
     for heading in ("found from", "tip [mm]", "like the string"):
         table.add_column(heading, justify="right")
     table.add_column("taken for")

@@ -298,12 +298,16 @@ def column_table(tables: ImportedTables) -> Table:
     for heading in ("from", "to"):
         table.add_column(heading, justify="right", overflow="fold")
 
-    used: dict[tuple[str, str], list[UsedColumn]] = {}
+    roles_of_file: dict[Path, set[str]] = {}
+    for column in tables.used_columns:
+        roles_of_file.setdefault(column.file, set()).add(column.role)
+    used: dict[tuple[frozenset[str], str, str], list[UsedColumn]] = {}
     for column in tables.used_columns:
         unit = f" [{column.unit}]" if column.unit else ""
         meaning = f"{column.role}{unit}, by {column.how}"
-        used.setdefault((column.column, meaning), []).append(column)
-    for (name, meaning), columns in used.items():
+        roles = frozenset(roles_of_file[column.file])
+        used.setdefault((roles, column.column, meaning), []).append(column)
+    for (_, name, meaning), columns in used.items():
         files = shared_file_name([column.file for column in columns])
         cells = [files, name, meaning]
         if not isnan(columns[0].low):

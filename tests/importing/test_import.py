@@ -21,6 +21,7 @@ from stringcast.pipeline.commands.dataset_import import (
     convert_recordings,
     write_dataset,
 )
+from stringcast.pipeline.commands.import_ import column_table
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
     equivalent_command,
@@ -494,6 +495,21 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         convert_recordings(
             read(arm, tmp_path / "track.csv"), BenchHints(links=(0.3, 0.3, 0.1))
         )
+
+
+def test_columns_of_two_kinds_of_files_have_rows_of_their_own(tmp_path):
+    """Hand and string have an x each; several files of one kind share a row."""
+    files = []
+    for number in (1, 2):
+        hand = {"t": T, "x": 0.1, "y": 0.2, "theta": 0.0}
+        files.append(write(tmp_path, f"grasp_{number}.csv", **hand))
+        points = {"t": T, "s": 0.3, "x": 0.1, "y": -0.1}
+        files.append(write(tmp_path, f"points_{number}.csv", **points))
+    table = column_table(read(*files))
+    cells = [list(map(str, column.cells)) for column in table.columns]
+    rows = [row for row in zip(*cells, strict=True) if row[1] == "y"]
+    assert [row[0] for row in rows] == ["grasp_* (2)", "points_* (2)"]
+    assert [row[3] for row in rows] == ["0.2 m", "-0.1 m"]
 
 
 def test_bad_points_and_a_hand_without_direction_are_no_measurements(tmp_path):
