@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import pandas as pd
-from scipy.signal import lfilter
 
 from stringcast.data.artifacts import (
     JOINTS,
@@ -92,10 +91,10 @@ class Stand:
         """
         t, joints = self.joints(true, fps, also)
         fresh = np.random.default_rng([self.seed, 2]).normal(size=(len(t) + 200, 2))
-        noise = lfilter(
-            [np.sqrt(1 - correlation**2)], [1, -correlation], fresh, axis=0
-        )[200:]
-        x, y = (joints[:, -1] + sigma * noise).T
+        noise = np.sqrt(1 - correlation**2) * fresh
+        for number in range(1, len(noise)):
+            noise[number] += correlation * noise[number - 1]
+        x, y = (joints[:, -1] + sigma * noise[200:]).T
         points = pd.DataFrame(
             {"t": t, "s": 0.0, "x": x, "y": y, "sigma": sigma, "valid": True}
         )

@@ -68,7 +68,17 @@ def scored(cast, condition, severity, **changed):
     )
 
 
-@pytest.mark.parametrize("condition", MUST)
+# The others are nearly these, or have a test of their own
+QUICK = MUST.keys() - {"flicker", "hot pixels", "camera shake", "video"}
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        pytest.param(name, marks=[] if name in QUICK else pytest.mark.long)
+        for name in MUST
+    ],
+)
 def test_what_can_be_read_is_read_and_right(cast, condition):
     """Readable frames are read correctly.
 

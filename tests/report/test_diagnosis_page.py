@@ -9,6 +9,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -21,6 +22,7 @@ from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from stringcast.stages.report.charts import residual
 from stringcast.stages.report.charts.axes import draw_map, new_axes
 from stringcast.stages.report.charts.residual import (
     NEGATIVE_COLOUR,
@@ -329,9 +331,16 @@ def pages(written):
     return {name: Page(page) for name, page in written.items()}
 
 
+@pytest.fixture(scope="module")
+def shared_panels():
+    """Make the axes of maps once for each number of trials: making takes long."""
+    return cache(residual._map_panels)
+
+
 @pytest.fixture
-def page_of(write, undrawn):
+def page_of(write, undrawn, shared_panels, monkeypatch):
     """Return a function that reads a page, whose pictures are only words."""
+    monkeypatch.setattr(residual, "_map_panels", shared_panels)
     return lambda *given, **facts: Page(write(*given, **facts))
 
 
