@@ -158,12 +158,15 @@ def tables_by_name(*tables: Table) -> dict[str, Table]:
 
 def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
     """Give values the type of a column; raise DataError naming one that has another."""
+    dtype = PANDAS_TYPES[column.kind]
+    if values.dtype == dtype:  # a cast would take 200 times as long
+        return values
     try:
         if column.kind == "bool" and values.dtype != bool:
             if any(isinstance(value, str) for value in values):
                 raise ValueError("give true or false")  # else any text counts as true
             values = values.where(values.notna(), False)  # a missing value is false
-        return values.astype(PANDAS_TYPES[column.kind])
+        return values.astype(dtype)
     except (ValueError, TypeError) as error:
         is_text = pd.to_numeric(values, errors="coerce").isna() & values.notna()
         wrong = values[is_text].iloc[0] if is_text.any() else values.iloc[0]
