@@ -51,22 +51,28 @@ TRUTH = {
     "grasp_damping": 5e-3,
 }
 
-# Files that take longest come first, so that parallel workers end together. Files that
-# use the same compiled kernels follow one another, so that one worker compiles them.
+# Files that take longest come first, so that parallel workers end together, also those
+# of the last folders. Files that use the same compiled kernels follow one another, so
+# that one worker compiles them.
 LONGEST = (
     "drivers/test_filming",
     "drivers/test_run_interrupted",
     "drivers/test_serial_link",
-    "diagnosis/test_hidden_causes",
-    "checking/test_check",
     "pipeline/test_command_line",
-    "sweep/test_sweep_command",
-    "extraction/test_extract",
-    "diagnosis/test_from_the_command_line",
-    "benchmarks/test_drawing",
+    "checking/test_check",
     "diagnosis/test_forward_selection",
-    "faults/test_full_disk",
+    "diagnosis/test_from_the_command_line",
+    "diagnosis/test_hidden_causes",
+    "extraction/test_extract",
+    "report/test_pages_in_a_browser",
+    "report/test_report",
+    "report/test_diagnosis_page",
+    "sweep/test_ledger",
+    "sweep/test_sweep_command",
+    "virtual_lab/test_bench",
     "faults/test_run_faults",
+    "faults/test_full_disk",
+    "benchmarks/test_drawing",
 )
 
 
