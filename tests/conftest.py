@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -422,10 +423,16 @@ def null_dataset():
 
 
 @pytest.fixture(scope="session")
-def null_trials(null_dataset, tmp_path_factory):
-    """Write a folder of trials that hide nothing."""
+def sample_trial(tmp_path_factory):
+    """Write a folder with one trial of the sample."""
+    import pandas as pd
+
     folder = tmp_path_factory.mktemp("theirs")
-    null_dataset.write(folder)
+    sample = ROOT / "data" / "sample"
+    shutil.copy(sample / "dataset.yaml", folder)
+    for file in ("arm.parquet", "points.parquet"):
+        table = pd.read_parquet(sample / file)
+        table[table["trial"] == "t00"].to_parquet(folder / file)
     return folder
 
 

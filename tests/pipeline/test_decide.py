@@ -84,9 +84,9 @@ def decide(trials, folder, experiment="decide"):
 
 
 @pytest.fixture(scope="module")
-def decided(null_trials, tmp_path_factory):
+def decided(sample_trial, tmp_path_factory):
     """Decide once; return the result and the trials that each diagnosis saw."""
-    result = decide(null_trials, tmp_path_factory.mktemp("decided"))
+    result = decide(sample_trial, tmp_path_factory.mktemp("decided"))
     return result, list(SEEN)
 
 
@@ -110,20 +110,20 @@ def test_the_motion_proposed_is_performed_and_seen_with_the_others(decided):
     assert sources[trial.as_posix()] == content_hash(result.folder / trial)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(decided, null_trials, tmp_path):
+def test_an_interrupted_run_goes_on_where_it_was(decided, sample_trial, tmp_path):
     result, _ = decided
     run = shutil.copytree(result.folder, tmp_path / "run")
     last = sorted((run / "iterations").iterdir())[-1]
     for name in ("points", "diagnosis"):
         shutil.rmtree(last / name)
-    decide(null_trials, run)
+    decide(sample_trial, run)
     assert len(SEEN) == 1  # the first diagnosis was read, not repeated
     whole = content_hash(result.folder / "iterations")
     assert content_hash(run / "iterations") == whole
 
 
-def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(null_trials, tmp_path):
-    result = decide(null_trials, tmp_path, "diagnose")
+def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(sample_trial, tmp_path):
+    result = decide(sample_trial, tmp_path, "diagnose")
     said = json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"]
     motion = load(Motion, tmp_path / said["motion"])
     assert motion.duration == pytest.approx(0.2)

@@ -94,19 +94,19 @@ def hasty(*given, **more) -> Diagnosis:
     raise AssertionError("nobody interrupted it")
 
 
-def test_what_a_step_knew_is_kept_and_made_again(null_trials, tmp_path):
-    assert performed(null_trials, tmp_path, patient).startswith("interrupted")
+def test_what_a_step_knew_is_kept_and_made_again(sample_trial, tmp_path):
+    assert performed(sample_trial, tmp_path, patient).startswith("interrupted")
     assert (tmp_path / "diagnosis.json").exists()
     assert not (tmp_path / SUMMARY_FILE).exists()
-    shown = performed(null_trials, tmp_path, whole)
+    shown = performed(sample_trial, tmp_path, whole)
     assert "recomputing" in shown
     assert "it was interrupted" in shown
     assert (tmp_path / SUMMARY_FILE).exists()
-    assert "recomputing" not in performed(null_trials, tmp_path, whole)
+    assert "recomputing" not in performed(sample_trial, tmp_path, whole)
 
 
-def test_a_stage_that_knows_nothing_leaves_nothing(null_trials, tmp_path):
-    assert performed(null_trials, tmp_path, hasty).startswith("interrupted")
+def test_a_stage_that_knows_nothing_leaves_nothing(sample_trial, tmp_path):
+    assert performed(sample_trial, tmp_path, hasty).startswith("interrupted")
     assert not (tmp_path / "diagnosis.json").exists()
     assert not list((tmp_path / "iterations").rglob("diagnosis"))
 

@@ -7,7 +7,6 @@ person has not named.
 import json
 import os
 import re
-import shutil
 
 import pandas as pd
 import pytest
@@ -126,15 +125,10 @@ def lab(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def trials(tmp_path_factory):
+@pytest.fixture
+def trials(sample_trial):
     """Return the setting that names one trial of the sample."""
-    folder = tmp_path_factory.mktemp("trials")
-    shutil.copy(SAMPLE / "dataset.yaml", folder)
-    for file in ("arm.parquet", "points.parquet"):
-        table = pd.read_parquet(SAMPLE / file)
-        table[table["trial"] == "t00"].to_parquet(folder / file)
-    return f"trials={folder}"
+    return f"trials={sample_trial}"
 
 
 @pytest.fixture
