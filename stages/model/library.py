@@ -90,8 +90,7 @@ def effect_files() -> dict[str, Path]:
     Raises PluginError for two effects of the same name.
     """
     files: dict[str, Path] = {}
-    own = sorted(Path(package.__path__[0]).resolve().glob("[!_]*.py"))
-    for path in (*own, *plugin_files(PLUGIN_EFFECTS)):
+    for path in (*_own_files(), *plugin_files(PLUGIN_EFFECTS)):
         if path.stem in files:
             raise PluginError(
                 f"{path}: there is an effect '{path.stem}' already. Rename the "
@@ -99,6 +98,12 @@ def effect_files() -> dict[str, Path]:
             )
         files[path.stem] = path
     return files
+
+
+@cache
+def _own_files() -> tuple[Path, ...]:
+    """Find the files of the package's own effects, which stay as they are."""
+    return tuple(sorted(Path(package.__path__[0]).resolve().glob("[!_]*.py")))
 
 
 @cache
