@@ -171,7 +171,7 @@ def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
 
 
 def test_a_page_of_the_plugin_is_the_report_of_its_stage(
-    lab, trials, called, nobody, tmp_path
+    lab, trials, called, nobody, undrawn, tmp_path
 ):
     run = tmp_path / "run"
     run_with(called, lab, run, *SWAY, trials)
@@ -185,7 +185,9 @@ def test_the_graph_shows_the_stage_of_the_plugin(lab, called, nobody):
     assert "estimate: takes trial of execute, points of smooth" in said
 
 
-def test_a_job_of_a_sweep_has_the_plugin(lab, trials, called, nobody, tmp_path):
+def test_a_job_of_a_sweep_has_the_plugin(
+    lab, trials, called, nobody, undrawn, tmp_path
+):
     folder = tmp_path / "sweep"
     swept = called(
         "--multirun",

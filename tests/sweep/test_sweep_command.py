@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from conftest import call_command
+from conftest import call_command, leave_pictures_empty
 
 from stringcast.data import store
 from stringcast.pipeline.sweep.attempt import Attempt
@@ -64,8 +64,9 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def forked_jobs():
-    """Run jobs of sweeps as children of this process."""
+    """Run jobs of sweeps as children of this process, and leave pictures empty."""
     with pytest.MonkeyPatch.context() as patch:
+        leave_pictures_empty(patch)
         patch.setattr(Attempt, "_run_process", forked.process)
         yield
 
