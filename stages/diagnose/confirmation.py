@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,9 @@ from stringcast.stages.diagnose.measures import (
     unexplained_tip_rms,
 )
 from stringcast.stages.diagnose.predictions import (
+    TrialPrediction,
     log_likelihood_gains,
+    predict_trials,
     tip_errors,
 )
 from stringcast.stages.diagnose.rules import (
@@ -191,12 +194,34 @@ def _predicts_trials(
     cause: type[Effect],
     criteria: Criteria,
 ) -> bool:
-    """Return whether a cause helps to predict trials left out. Parameters as before."""
+    """Return whether a cause helps to predict trials left out. Parameters as before.
+
+    The fit without the cause is first compared as it is. It has seen the trials, so
+    that it explains them better than it could predict them. Most causes are confirmed
+    even so, and it need not be fitted without each trial.
+    """
     data = state.prepared.data
-    gains = log_likelihood_gains(without.predictions, state.predictions)
+    fitted = predict_trials(data, without.fit)
+    if _are_predicted_better(state, fitted, cause, criteria):
+        return True
+    return _are_predicted_better(state, without.predictions, cause, criteria)
+
+
+def _are_predicted_better(
+    state: SelectionState,
+    others: Sequence[TrialPrediction],
+    cause: type[Effect],
+    criteria: Criteria,
+) -> bool:
+    """Return whether fits without each trial predict it better than others do.
+
+    others: of each trial, without the cause.
+    """
+    data = state.prepared.data
+    gains = log_likelihood_gains(others, state.predictions)
     log.info("%s: predictive log-likelihoods %s", cause.name, np.round(gains, 1))
     explained = mean_explained_fraction(
-        tip_errors(data, without.predictions),
+        tip_errors(data, others),
         tip_errors(data, state.predictions),
         criteria.tip_tolerance_m,
     )

@@ -117,6 +117,7 @@ def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
     monkeypatch.setattr(confirmation, "refit", refit_stand_in)
     monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     monkeypatch.setattr(selection_state, "predict_left_out_trials", predict)
+    monkeypatch.setattr(confirmation, "predict_trials", predict)
     monkeypatch.setattr(confirmation, "tip_errors", lambda *_: np.zeros(5))
     monkeypatch.setattr(confirmation, "mean_explained_fraction", lambda *_: 0.9)
     state = SelectionState(prepared, fit_with(wind))
