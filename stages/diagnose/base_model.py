@@ -10,9 +10,14 @@ import numpy as np
 from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
+    refit,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE, Criteria
+from stringcast.stages.diagnose.rules import (
+    NEGLIGIBLE_LOG_EVIDENCE,
+    STRONG_LOG_EVIDENCE,
+    Criteria,
+)
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import grid_points_of_scale
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -194,12 +199,14 @@ def widen_ranges_with_causes(
 
     # The correction's centre is given by exponents of the narrow range: no range has it
     data = replace(data, mesh_correction=None)
-    narrow = fit_hypothesis(data, hypothesis, fit.chi[None], fit.grid_points)
+    narrow = refit(data, fit, hypothesis, NEGLIGIBLE_LOG_EVIDENCE)
     left_m = unexplained_tip_rms(data, narrow)
     for name, wider in wider_models.items():
         widened = Hypothesis(wider, hypothesis.causes)
         start = widened.model.exponents_of_values(narrow.values)
-        refitted = fit_hypothesis(data, widened, start[None], fit.grid_points)
+        refitted = fit_hypothesis(
+            data, widened, start[None], fit.grid_points, NEGLIGIBLE_LOG_EVIDENCE
+        )
         explained = mean_explained_fraction(
             left_m, unexplained_tip_rms(data, refitted), criteria.tip_tolerance_m
         )
