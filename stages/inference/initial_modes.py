@@ -22,6 +22,7 @@ from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import INITIAL_MODES, PreparedTrial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.engine.kernel_codegen import LANES
 from stringcast.stages.model.engine.law_slots import MEMORY_SLOTS as SLOTS
 from stringcast.stages.model.parameter import (
@@ -66,13 +67,19 @@ def refine_initial_state(
     """
     if trial.initial_state is None:
         return trial
+    return with_initial_amplitudes(trial, _fit_beginning(trial, values, span))
+
+
+@keep_results
+def _fit_beginning(trial: PreparedTrial, values: np.ndarray, span: float) -> np.ndarray:
+    """Fit the amplitudes of the initial state (M,) to a trial's first part."""
     early = trial.cut_after(trial.times[0] + span)
-    amplitudes = initial_amplitudes(trial)[None]
-    residual = _residuals_at_amplitudes(early, values, amplitudes)[0]
+    amplitudes = initial_amplitudes(trial)
+    residual = _residuals_at_amplitudes(early, values, amplitudes[None])[0]
     noise = float(mad_sigma(residual)) + 1e-12
     if not np.isfinite(noise):
-        return trial
-    return fit_initial_state(
+        return amplitudes
+    fitted = fit_initial_state(
         trial,
         early,
         values,
@@ -80,6 +87,7 @@ def refine_initial_state(
         STATE_MIN_GAIN,
         HUBER_LIMIT,
     )
+    return initial_amplitudes(fitted)
 
 
 def fit_initial_state(

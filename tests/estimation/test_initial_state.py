@@ -229,7 +229,9 @@ def test_a_state_stays_where_the_string_cannot_be_simulated(model):
     t, seen = released(TURN, PLACES["two"], 30, 3e-3)
     ready = prepare_trial(model, observed(t, seen, PLACES["two"], starts_moving=True))
     nowhere = model.values(NAMED) * np.nan
-    assert refine_initial_state(ready, nowhere) is ready
+    unchanged = refine_initial_state(ready, nowhere)
+    assert np.array_equal(unchanged.initial_state.angle, ready.initial_state.angle)
+    assert np.array_equal(unchanged.initial_state.rate, ready.initial_state.rate)
     assert not initial_mode_slopes(ready, nowhere).any()
     assert (
         initial_mode_slopes(ready, model.values(NAMED)).any(axis=0).sum()

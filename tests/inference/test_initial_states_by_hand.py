@@ -299,10 +299,12 @@ def test_a_state_is_refined_by_the_first_part_over_its_noise(monkeypatch):
         asked.append((len(trial.times), amplitudes))
         return np.array([[2.0, -4.0, 4.0, -4.0]])
 
+    def fit_state(*given):
+        asked.append(given)
+        return given[0]
+
     monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", residuals)
-    monkeypatch.setattr(
-        initial_modes, "fit_initial_state", lambda *given: asked.append(given)
-    )
+    monkeypatch.setattr(initial_modes, "fit_initial_state", fit_state)
     trial = moving_trial(np.arange(12.0), memory=0.25)
     initial_modes.refine_initial_state(trial, "values", 0.4)
     (frames, amplitudes), fit = asked
@@ -322,7 +324,9 @@ def test_a_state_is_refined_by_the_first_part_over_its_noise(monkeypatch):
         "_residuals_at_amplitudes",
         lambda *given: np.full((1, 4), np.nan),
     )
-    assert initial_modes.refine_initial_state(trial, "values") is trial
+    unchanged = initial_modes.refine_initial_state(trial, "values")
+    assert np.array_equal(unchanged.mode_amplitudes, trial.mode_amplitudes)
+    assert np.array_equal(unchanged.initial_state.angle, trial.initial_state.angle)
 
 
 def test_columns_of_modes_are_over_sigma_and_none_at_rest(monkeypatch):
