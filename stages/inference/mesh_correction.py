@@ -62,9 +62,12 @@ class MeshCorrection:
         distance = chi[:, columns] - self.chi[known]
         radius = MESH_CORRECTION_RADIUS
         limited = radius * np.tanh(distance / radius)
-        # One by one: a candidate has the same bits in any batch
         changes = []
         for slope in self.slopes:
-            own_slope = slope[known]
-            changes.append(np.stack([row @ own_slope for row in limited]))
+            own_slope = slope if len(known) == len(slope) else slope[known]
+            change = np.empty((len(chi), slope.shape[1]))
+            # One by one: a candidate has the same bits in any batch
+            for row, result in zip(limited, change, strict=True):
+                np.dot(row, own_slope, out=result)
+            changes.append(change)
         return changes
