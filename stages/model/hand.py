@@ -90,6 +90,16 @@ class HandMotion:
         begin : float or ndarray of shape (C,)
             The moment [s], or one for each candidate.
         """
+        if np.ndim(begin) > 0:
+            return self._read_from(np.asarray(begin))
+        moment = float(begin)
+        if moment not in self._motions_by_begin:
+            motion = self._read_from(np.array([moment]))
+            self._motions_by_begin[moment] = replace(motion, start=moment)
+        return self._motions_by_begin[moment]
+
+    def _read_from(self, begin: np.ndarray) -> HandMotion:
+        """Return the motion from a moment of each candidate on, (1 or C,) [s]."""
         remaining = (self.end - np.min(begin)) / self.tick
         count = max(int(np.ceil(remaining - 1e-9)), 1) + 1
         first = (np.reshape(begin, (-1, 1)) - self.start) / self.tick
@@ -104,8 +114,12 @@ class HandMotion:
         rate = np.polyval(rate_parabolas[:, before, row], offset)
         is_moving = (ticks == place)[..., None]
         rate = np.where(is_moving, rate / self.tick, 0.0)
-        start = float(begin) if np.ndim(begin) == 0 else 0.0
-        return HandMotion(start, self.tick, pose, rate)
+        return HandMotion(0.0, self.tick, pose, rate)
+
+    @cached_property
+    def _motions_by_begin(self) -> dict[float, HandMotion]:
+        """Motions from a moment on that were asked for: a fit needs the same ones."""
+        return {}
 
     @cached_property
     def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
