@@ -60,10 +60,9 @@ class ArmLag(HandEffect):
         )
         decay = np.exp(-np.diff(t)[:, None] / np.maximum(time_constant, 1e-12))
         behind = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
+        gained = at_end - decay * at_start
         for k in range(len(t) - 1):
-            behind[:, k + 1] = (
-                decay[..., k, :] * (behind[:, k] - at_start[:, k]) + at_end[:, k]
-            )
+            behind[:, k + 1] = decay[..., k, :] * behind[:, k] + gained[:, k]
         return angles - behind
 
     @staticmethod
