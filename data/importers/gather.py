@@ -200,7 +200,7 @@ def _refuse_unknown_columns(
     """Refuse roles that do not exist, and columns that no file has."""
     tables = (recording.table for recording in recordings)
     names = list(dict.fromkeys(map(str, chain.from_iterable(tables))))
-    for role, text in hints.columns.items():
+    for role, text in hints.columns:
         if not ROLE_PATTERN.fullmatch(role):
             raise DataError(
                 f"--map {role}={text}: '{role}' is no name of ours. "
@@ -292,8 +292,8 @@ def _mapped_columns(
     recording: SourceRecording, hints: ColumnHints
 ) -> dict[str, SourceColumn]:
     """Interpret the columns of a recording that the user named."""
-    columns = {}
-    for role, text in hints.columns.items():
+    by_role = {}
+    for role, text in hints.columns:
         match = _match_column(text, recording)
         if match is None:
             continue
@@ -307,8 +307,8 @@ def _mapped_columns(
         meaning = ColumnMeaning(
             kind, point or role.lstrip("q"), axis, stated_unit(name, kind)
         )
-        columns[name] = SourceColumn(name, meaning, "--map", sign, shift)
-    return columns
+        by_role[role] = SourceColumn(name, meaning, "--map", sign, shift)
+    return {column.name: column for column in by_role.values()}
 
 
 def _read_parts(recording: SourceRecording, hints: ColumnHints) -> RecordingParts:

@@ -33,8 +33,8 @@ class ColumnHints:
     Attributes
     ----------
     columns
-        Our name to theirs, with a sign before it and a shift behind it, as in
-        q2: -elbow_deg+90.
+        Our name and theirs, with a sign before it and a shift behind it, as in
+        q2, -elbow_deg+90. Files may call one thing differently.
     unit
         Unit of lengths by the file's name, or of all files under the empty name.
     degrees
@@ -60,7 +60,7 @@ class ColumnHints:
         Whether rows of the hand's log that are exactly zero among others are left out.
     """
 
-    columns: Mapping[str, str] = field(default_factory=dict)
+    columns: Sequence[tuple[str, str]] = ()
     unit: Mapping[str, str] = field(default_factory=dict)
     degrees: bool | None = None
     counts: bool = False

@@ -252,7 +252,7 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
         )
     clock, _ = read_clock(options.clock)
     return ColumnHints(
-        dict(parse_name_values(options.map, "--map", "q1=joint_a")),
+        parse_name_values(options.map, "--map", "q1=joint_a"),
         units,
         degrees=options.deg,
         counts=options.counts,

@@ -376,22 +376,34 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
     )
     what = read(
         log,
-        columns={
-            "t": "Zeit",
-            "q1": "-A_deg+90",
-            "q2": "B_deg",
-            "q3": "C",
-            "tip.x": "X",
-            "tip.y": "Y",
-        },
+        columns=[
+            ("t", "Zeit"),
+            ("q1", "-A_deg+90"),
+            ("q2", "B_deg"),
+            ("q3", "C"),
+            ("tip.x", "X"),
+            ("tip.y", "Y"),
+        ],
     )
     np.testing.assert_allclose(what.motion["q1"], np.radians(90 - np.arange(5)))
     assert what.joints == ["q1", "q2", "q3"]
     assert set(what.points["point"]) == {"tip"}
     with pytest.raises(DataError, match=r"no file has such a column. There are .*Zeit"):
-        read(log, columns={"t": "Zeitt"})
+        read(log, columns=[("t", "Zeitt")])
     with pytest.raises(DataError, match="'q' is no name of ours"):
-        read(log, columns={"q": "A_deg"})
+        read(log, columns=[("q", "A_deg")])
+
+
+def test_files_may_call_their_times_differently(tmp_path):
+    """In one file the last name counts: it corrects one before."""
+    arm = write(tmp_path, "arm_1.csv", Zeit=T, **JOINTS)
+    track = write(tmp_path, "track_1.csv", Uhr=T, X=1.0, Y=2.0, height=3.0)
+    names = [("t", "Zeit"), ("t", "Uhr"), ("tip.x", "X"), ("tip.y", "Y")]
+    what = read(arm, track, columns=names)
+    np.testing.assert_allclose(what.motion["t"], T)
+    np.testing.assert_allclose(what.points["t"], T)
+    corrected = read(arm, track, columns=[*names, ("tip.y", "height")])
+    np.testing.assert_allclose(corrected.points["y"], 3.0)
 
 
 def test_numbers_say_what_names_do_not(tmp_path):

@@ -80,7 +80,7 @@ def test_missing_frames_are_counted_by_the_number_of_the_frame(arm, tmp_path):
     other = write(tmp_path, "other.csv", picture=seen, **columns)
     with pytest.raises(DataError, match=r"'picture' increases .*--map 'frame=picture'"):
         read(arm, other, fps=200.0)
-    points = read(arm, other, fps=200.0, columns={"frame": "picture"}).points
+    points = read(arm, other, fps=200.0, columns=[("frame", "picture")]).points
     np.testing.assert_allclose(points["t"], seen / 200)
 
 

@@ -81,10 +81,10 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     files = read_recordings([folder, tmp_path / "tracker.csv"])
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
     # LeRobot's default unit is a share of the calibrated range, -100 to 100
-    for hints in (ColumnHints(columns=names), ColumnHints()):
+    for hints in (ColumnHints(columns=[*names.items()]), ColumnHints()):
         with pytest.raises(DataError, match=r"set: .*use_degrees.*Give --deg"):
             gather_tables(files, hints)
-    what = gather_tables(files, ColumnHints(columns=names, degrees=True))
+    what = gather_tables(files, ColumnHints(columns=[*names.items()], degrees=True))
     assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
     one = what.motion[what.motion["trial"] == "t1"]
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))
