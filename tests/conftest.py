@@ -266,25 +266,6 @@ def share():
     return max(numba.config.NUMBA_NUM_THREADS // workers, 1)
 
 
-def pipeline(*words):
-    """Run the command as a user gives it, in a process with a worker's share of cores.
-
-    Threads that wait for one another spin: a diagnosis in parallel with other work took
-    66 s of processor time instead of 25.
-    """
-    command = [sys.executable, "-m", "pipeline", *map(str, words)]
-    around = os.environ | {"NUMBA_NUM_THREADS": str(share())}
-    return subprocess.run(
-        command,
-        cwd=ROOT,
-        env=around,
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
-
-
 @pytest.fixture
 def called(monkeypatch, capsys):
     """Run the command in this process, where the test does not need a separate one.

@@ -335,13 +335,14 @@ class CreepingSlip(StringEffect):
 {LAW}'''
 
 
+@pytest.mark.long
 def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
     effects_folder,
 ):
     """A law with memory is one file of which twelve lines are the law.
 
     Nothing else is edited. The law is found, runs, is absent at zero, and damps a
-    swing.
+    swing. `test_law_page.py` has a quicker test, of a law without memory.
     """
     assert len([line for line in LAW.splitlines() if line.strip()]) <= 12
     (effects_folder / "creeping_slip.py").write_text(FILE)

@@ -13,7 +13,7 @@ import time
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from conftest import ROOT, call_command, leave_pictures_empty, other_threads, pipeline
+from conftest import ROOT, call_command, leave_pictures_empty, other_threads
 from omegaconf import OmegaConf
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -340,14 +340,6 @@ def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
 
 
-def test_a_refused_command_ends_with_its_error_and_a_status(tmp_path):
-    place = f"hydra.run.dir={tmp_path / 'run'}"
-    refused = pipeline("method=paper", "estimate.beta=1.5", place)
-    assert refused.returncode == 1
-    assert "Traceback" not in refused.stderr
-    assert refused.stderr.startswith("Error: ")
-
-
 def test_stored_trials_keep_their_settings_but_for_what_is_given(
     quick, called, tmp_path
 ):
@@ -418,7 +410,13 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
     ) == (0.35, 57)
 
 
+@pytest.mark.long
 def test_ctrl_c_says_how_to_go_on(tmp_path):
+    """Ctrl-C ends a run of the virtual lab with how to go on.
+
+    `tests/drivers/test_run_interrupted.py` interrupts a process with an arm, and
+    `test_interrupted_step.py` a stage at work.
+    """
     import signal
 
     command = [

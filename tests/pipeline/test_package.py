@@ -97,6 +97,7 @@ def test_what_is_installed_runs_in_any_folder(site, tmp_path):
         "5",
     ]
     assert done.returncode == 1
+    assert done.stderr.startswith("Error: ")
     assert "target.x" in done.stderr
     assert "Traceback" not in done.stderr
 
