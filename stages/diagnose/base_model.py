@@ -6,6 +6,7 @@ import logging
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats.qmc import Halton
 
 from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.diagnose.measures import (
@@ -25,6 +26,7 @@ from stringcast.stages.inference.laplace import Fit, fit_hypothesis, log_likelih
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
+    MAX_PROMISES_BEHIND,
     refine_solution,
     screen_candidates,
     search_parameters,
@@ -46,6 +48,7 @@ MAX_SEARCH_ITERATIONS = 20  # before the last horizon
 MAX_LAST_ITERATIONS = 20
 SCREENED_PER_START = 8
 UNKNOWN_MOTION_M = 0.03  # at the tip, of something that begins in a trial
+SCREENED_STRINGS = 64  # by how they describe the beginnings of trials
 BEGINNING_ITERATIONS = 12  # of fits to the beginnings of trials
 MAX_SEARCHED_TRIALS = 8  # from many starts; all are fitted from the best of them
 
@@ -144,25 +147,39 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
     """Fit a hypothesis again, first to the beginnings of all trials.
 
     What begins in the middle of trials and is unknown leads a fit to all of them
-    astray. So the trials are fitted as if an unknown motion began at each onset in
-    turn. The best of these fits goes on with the most likely grid points.
+    astray, and so the search that led to the fit. So the trials are fitted as if an
+    unknown motion began at each onset in turn, from the fit and from the other string
+    that describes the beginnings best. The best of these fits goes on with the most
+    likely grid points.
     """
     hypothesis = fit.hypothesis
     extended = data.for_hypothesis(hypothesis)
-    starts = []
+    sequence = Halton(len(fit.chi), scramble=False)
+    others = sequence.random(SCREENED_STRINGS + 1)[1:]  # the first is zero
+    residuals = data.residuals(hypothesis.model, others)
+
+    ends = []
     for grid_point in grid_points_of_scale(UNKNOWN_MOTION_M)[1:]:
+        grid_points = np.full(len(data.trials), grid_point)
         likelihood = Likelihood(
             extended,
             hypothesis.model,
-            np.full(len(data.trials), grid_point),
+            grid_points,
             uniform_indices=hypothesis.base_indices,
         )
+        white = extended.whiten(residuals, grid_points)
+        other = others[int(np.argmin(np.sum(white**2, axis=1)))]
         run = solver.fit_least_squares(
-            likelihood, fit.chi[None], BEGINNING_ITERATIONS, STRONG_LOG_EVIDENCE
+            likelihood,
+            np.stack([fit.chi, other]),
+            BEGINNING_ITERATIONS,
+            STRONG_LOG_EVIDENCE,
+            MAX_PROMISES_BEHIND,
         )
-        starts.append(run.chi[0])
-    by_start = log_likelihoods(data, hypothesis, np.stack(starts)).sum(axis=0)
-    best = starts[int(np.argmax(by_start))]
+        ends.append(run.chi)
+    ends_of_all = np.concatenate(ends)
+    by_end = log_likelihoods(data, hypothesis, ends_of_all).sum(axis=0)
+    best = ends_of_all[int(np.argmax(by_end))]
     return fit_hypothesis(data, hypothesis, best[None], fit.grid_points)
 
 

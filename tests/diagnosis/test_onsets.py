@@ -5,6 +5,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
+from stringcast.stages.diagnose import base_model
 from stringcast.stages.diagnose.base_model import fit_from_beginnings
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
@@ -14,7 +15,11 @@ from stringcast.stages.inference.discrepancy_grid import (
     split_grid_point,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import fit_hypothesis
+from stringcast.stages.inference.laplace import (
+    evaluate_fit,
+    fit_hypothesis,
+    log_likelihoods,
+)
 from stringcast.stages.inference.prepared_trial import prepare_trial
 
 PLACES = np.array([8, 14, 20])
@@ -71,3 +76,15 @@ def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
         onset, scale_index = split_grid_point(grid_point)
         assert 0 < ONSET_SHARES[onset] <= true_share
         assert DISCREPANCY_SCALES_M[scale_index] > 2e-3
+
+
+def test_other_strings_are_tried_where_the_fit_is_far_off(fits, monkeypatch):
+    """Without any step, the start is another string, whose beginnings are nearer."""
+    data, _, fit = fits
+    far = evaluate_fit(data, fit.hypothesis, np.full(len(fit.chi), 0.98))
+    monkeypatch.setattr(base_model, "BEGINNING_ITERATIONS", 0)
+    monkeypatch.setattr(base_model, "fit_hypothesis", lambda *given: given[2])
+    start = fit_from_beginnings(data, far)
+    both = np.concatenate([start, far.chi[None]])
+    found, before = log_likelihoods(data, fit.hypothesis, both).sum(axis=0)
+    assert found > before + 100
