@@ -104,7 +104,7 @@ def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarr
 
 @dataclass
 class _Profile:
-    """One side of the profile of an exponent.
+    """A side of the profile of an exponent, followed outwards.
 
     Parameters
     ----------
