@@ -259,7 +259,8 @@ def describe_lack(explanation: Explanation) -> str:
     causes, probability = next(iter(explanation.cause_sets.items()))
     if explanation.named_causes:
         return f"The model lacked {describe_causes(causes)}."
-    return f"The model may lack {describe_causes(causes)} ({probability:.2f})."
+    words = f"{describe_causes(causes)} (probability {probability:.2f})"
+    return f"The model may lack {words}."
 
 
 def dry_run_outcome(iteration: Iteration) -> str:

@@ -118,8 +118,8 @@ def test_a_run_says_what_its_model_lacked(whole):
     assert "The model lacked wind." in sentence
     named = load(Explanation, whole / "iterations/02/explanation")
     for verdict, words in {
-        "candidates": "The model may lack wind (1.00).",
-        "partial": "The model may lack wind (1.00).",
+        "candidates": "The model may lack wind (probability 1.00).",
+        "partial": "The model may lack wind (probability 1.00).",
         "unknown": "",
         "not asked": "",
     }.items():
