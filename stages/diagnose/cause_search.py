@@ -216,7 +216,7 @@ def _search_on_configured_mesh(
         return None
     criteria = settings.criteria
     prepared = keep_configured_mesh_if_supported(
-        state.prepared, state.fit, settings.model, criteria.tip_tolerance_m
+        state.prepared, state.fit, settings.model
     )
     if not prepared.mesh_is_model:
         return None

@@ -24,7 +24,7 @@ from stringcast.stages.diagnose.discretisation import (
     with_second_order_mesh,
     without_trials,
 )
-from stringcast.stages.diagnose.measures import refit
+from stringcast.stages.diagnose.measures import refit, unexplained_tip_rms
 from stringcast.stages.diagnose.noise import (
     estimate_initial_noise,
     remove_outliers,
@@ -45,7 +45,7 @@ from stringcast.stages.inference.initial_modes import (
     reset_initial_state_linear,
     trials_with_reestimated_start,
 )
-from stringcast.stages.inference.laplace import Fit, evaluate_fit, mean_discrepancy
+from stringcast.stages.inference.laplace import Fit, evaluate_fit
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import (
     prepare_trial,
@@ -158,9 +158,7 @@ def prepare_data(
         keep_if_chaotic=tuple(keep_if_chaotic),
     )
     prepared = fit_base_model_to_resolved_trials(prepared, tolerance_m)
-    return keep_configured_mesh_if_supported(
-        prepared, prepared.base_fit, model, tolerance_m
-    )
+    return keep_configured_mesh_if_supported(prepared, prepared.base_fit, model)
 
 
 def fit_base_model_to_resolved_trials(
@@ -236,12 +234,12 @@ def keep_configured_mesh_if_supported(
     prepared: PreparedData,
     fit: Fit,
     model: Model,
-    tolerance_m: float,
 ) -> PreparedData:
     """Make the configured mesh part of the model if the data clearly come from it.
 
     Data of a simulated chain of mass points are nearer to that chain than to a
-    continuous string, and it leaves nothing to explain.
+    continuous string, and it leaves less than their noise. A measured string may be
+    nearer to it by chance.
 
     fit: the base model, or one with causes.
     """
@@ -256,7 +254,8 @@ def keep_configured_mesh_if_supported(
     on_its_mesh = correct_data_at(on_its_mesh, configured)
     data = on_its_mesh.data
     refitted = refit(data, configured, hypothesis)
-    if data.tip_rms_by_trial(mean_discrepancy(data, refitted)).max() > tolerance_m:
+    noise_m = np.array([np.median(trial.sigma) for trial in data.trials])
+    if (unexplained_tip_rms(data, refitted) > noise_m).any():
         return replace(prepared, configured_mesh_fit=configured)
     base_fit = refit(data, refitted, Hypothesis(hypothesis.base))
     return replace(on_its_mesh, base_fit=base_fit, configured_mesh_fit=None)

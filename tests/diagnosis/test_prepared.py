@@ -1,6 +1,7 @@
 """Preparation of data: noise, outliers, chaotic trials, and ranges."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -403,3 +404,24 @@ def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
     assert errors[1] < 0.5 * errors[0]
     # in standard deviations, so that the error is large enough to follow
     assert errors[0] > 0.01
+
+
+@pytest.mark.parametrize(("left_m", "is_kept"), [(9e-4, True), (1.1e-3, False)])
+def test_a_mesh_is_the_strings_only_if_it_leaves_less_than_noise(
+    left_m, is_kept, monkeypatch
+):
+    """A measured strip was nearer to ten mass points by chance, and left 0.8 mm."""
+    trials = (SimpleNamespace(sigma=np.full(4, 1e-3)),) * 2
+    hypothesis = SimpleNamespace(model=None, base=None)
+    fine = SimpleNamespace(log_evidence=0.0)
+    nearer = SimpleNamespace(log_evidence=1e3, hypothesis=hypothesis)
+    monkeypatch.setattr(preparation, "_fit_configured_mesh", lambda *given: nearer)
+    monkeypatch.setattr(preparation, "with_model", lambda trials, model: trials)
+    monkeypatch.setattr(preparation, "correct_data_at", lambda prepared, fit: prepared)
+    monkeypatch.setattr(preparation, "refit", lambda data, fit, hypothesis: fit)
+    left = np.array([1e-4, left_m])
+    monkeypatch.setattr(preparation, "unexplained_tip_rms", lambda data, fit: left)
+    data = SimpleNamespace(trials=trials)
+    prepared = PreparedData(data, fine, trials, trials, 0, np.zeros(2))
+    kept = preparation.keep_configured_mesh_if_supported(prepared, fine, None)
+    assert kept.mesh_is_model == is_kept
