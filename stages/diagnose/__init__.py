@@ -23,7 +23,7 @@ VERDICT_TITLES = {
     "none": "No cause",
     "effect": "Cause found",
     "ambiguous": "Cause undecided",
-    "partial": "Cause of a part found",
+    "partial": "Partly explained",
     "unknown": "Cause unknown",
     "insufficient": "Not enough data",
 }

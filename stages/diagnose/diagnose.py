@@ -29,7 +29,7 @@ from stringcast.stages.diagnose.document import (
     extended_model_settings,
     replace_non_finite,
     unexplained_document,
-    verdict_sentence,
+    verdict_sentences,
 )
 from stringcast.stages.diagnose.experiment_design import (
     ProposedExperiment,
@@ -366,7 +366,7 @@ def _finding_table(
         shown.set_aside,
         effects_not_tried(settings, shown),
     )
-    sentences = [verdict_sentence(judgement, causes), unexplained["sentence"]]
+    sentences = verdict_sentences(judgement, causes, unexplained["sentence"])
     if trials.left_out:
         sentences.append(f"Left out: {describe_rejected(trials.left_out)}.")
     intervals = uncertainty["extended"]["intervals"]

@@ -224,21 +224,30 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     )
 
 
-def verdict_sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
-    """State the verdict in one or two sentences."""
-    verdict = judgement.verdict
-    if verdict.kind == "none":
-        return (
+def verdict_sentences(
+    judgement: Judgement, causes: pd.DataFrame, unexplained: str
+) -> list[str]:
+    """State the verdict and what is left, which comes first if causes explain a part.
+
+    unexplained: sentence of `unexplained_document`.
+    """
+    kind = judgement.verdict.kind
+    if kind == "none":
+        agreement = (
             "The simulation agrees with the measured trials within noise and tolerance."
         )
-    if verdict.kind == "unknown":
-        return (
+        return [agreement, unexplained]
+    if kind == "unknown":
+        disagreement = (
             "The simulation disagrees with the measured trials, "
             "and no effect of the library explains it."
         )
-    if verdict.kind == "insufficient":
-        return "" if judgement.interrupted else "These trials cannot answer."
-    return " ".join(_cause_sentences(judgement, causes))
+        return [disagreement, unexplained]
+    if kind == "insufficient":
+        refusal = "" if judgement.interrupted else "These trials cannot answer."
+        return [refusal, unexplained]
+    stated = _cause_sentences(judgement, causes)
+    return [unexplained, *stated] if kind == "partial" else [*stated, unexplained]
 
 
 def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:

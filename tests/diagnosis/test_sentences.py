@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from stringcast.stages.diagnose import document, summary
-from stringcast.stages.diagnose.document import verdict_sentence
+from stringcast.stages.diagnose.document import verdict_sentences
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
 from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
@@ -109,10 +109,22 @@ def test_look_alikes_are_named_in_words():
         verdict=verdict, inclusion_probability=dict.fromkeys(names, 0.5)
     )
     causes = pd.DataFrame({"effect": names, "sentence": ["it slips", "it rubs"]})
-    assert verdict_sentence(judgement, causes) == (
+    assert verdict_sentences(judgement, causes, "Little is left.") == [
         "These trials cannot distinguish maxwell slip and dahl friction: "
-        "either it slips (probability 0.50), or it rubs (probability 0.50)."
+        "either it slips (probability 0.50), or it rubs (probability 0.50).",
+        "Little is left.",
+    ]
+
+
+def test_what_is_left_is_said_first_where_causes_explain_a_part():
+    judgement = SimpleNamespace(
+        verdict=Verdict("partial", 1.0, ("wind",)), inclusion_probability={"wind": 0.9}
     )
+    causes = pd.DataFrame({"effect": ["wind"], "sentence": ["air flows"]})
+    assert verdict_sentences(judgement, causes, "74 of 76 mm remain.") == [
+        "74 of 76 mm remain.",
+        "Cause of a part of the misfit: air flows (probability 0.90).",
+    ]
 
 
 @pytest.mark.parametrize(
