@@ -23,7 +23,8 @@ An **accepted cause** stays while later causes are added:
 `is_needed`                without it the Bayes factor drops by more than 1/alpha
 `predicts_heldout`         trials are predicted by fits to the others: it raises the
                            likelihood of the median trial, and tips are closer
-`is_inside_range`          none of its amplitudes is at an end of its range
+`is_inside_range`          none of its amplitudes is at an end of its range, or
+                           too small to be what it is
 `trials_agree`             if misfit remains, it is there with a probability above
                            one half by how fits without one trial each scatter
 =========================  =========================================================
@@ -268,17 +269,23 @@ def predicts_heldout(gains: np.ndarray, explained_fraction: float) -> bool:
 
 
 def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
-    """Whether no amplitude of a cause is at an end of its range.
+    """Whether no amplitude of a cause is at an end of its range, or too small for it.
 
     One that would go on beyond its range most likely stands for another cause. An end
     at which the cause is absent does not count, nor one that is only a lower bound.
     """
     absent = fit.hypothesis.exponents_from({})
-    amplitudes = [p for p in amplitude_parameters(cause) if not p.is_lower_bound]
+    amplitudes = amplitude_parameters(cause)
     indices = fit.hypothesis.parameter_indices(cause, amplitudes)
-    is_present = np.abs(fit.chi - absent) > ABSENCE_TOLERANCE
-    is_at_end = np.abs(fit.chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
-    return not (is_present & is_at_end)[indices].any()
+    for parameter, index in zip(amplitudes, indices, strict=True):
+        chi = fit.chi[index]
+        if abs(chi - absent[index]) <= ABSENCE_TOLERANCE:
+            continue
+        is_at_end = abs(chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
+        is_too_small = abs(parameter.value(chi)) < parameter.least
+        if is_too_small or (is_at_end and not parameter.is_lower_bound):
+            return False
+    return True
 
 
 def trials_agree(probability: float) -> bool:

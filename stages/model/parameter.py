@@ -33,6 +33,8 @@ class Parameter:
         Root in which the range is searched evenly.
     is_lower_bound : bool
         What is fitted is the least that it may be.
+    least : float
+        Of an amplitude: one that is smaller, but there, is not what its name says.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     length_power: int = 0
     root: int = 1
     is_lower_bound: bool = False
+    least: float = 0.0
 
     def value(self, chi: np.ndarray) -> np.ndarray:
         """Return the values at exponents chi in [0, 1] (Eq. 3). Any shape."""

@@ -12,6 +12,9 @@ from stringcast.stages.model.effect import (
     vanishes_at_zero,
 )
 
+# A string at rest sinks 0.1 m into it: what is softer is a field of force and no plane.
+SOFTEST_PER_S2 = 98.1
+
 
 class Contact(StringEffect):
     """A plane that pushes back what is behind it, k d (1 - a v_n), and rubs.
@@ -38,6 +41,7 @@ class Contact(StringEffect):
             0.0,
             root=2,
             is_lower_bound=True,
+            least=SOFTEST_PER_S2,
         ),
         Parameter(
             "height",
