@@ -213,7 +213,9 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "handed on",
     "tasks.py study measured measured.source=../shared/measured": "needs recordings of others; a small one: "
     "tests/benchmarks/measured/test_measured_study.py",
-    "tasks.py study strings ../shared/measured": "needs recordings of others, which may not be handed on",
+    "tasks.py study strings ../shared/measured 75mm 100mm black_short_unweighted "
+    "black_unweighted orange_short_unweighted --seeds 2": "needs "
+    "recordings of others, which may not be handed on",
     "tasks.py test": "is what runs this",
     "tasks.py setup": "made the environment that this runs in",
     "tasks.py docs": "installs what builds the site: tests/pipeline/test_site.py",
