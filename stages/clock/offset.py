@@ -218,7 +218,7 @@ def _estimate_apart(
         alone[trial.name] = window.middle + clock.offset
         fits.append(clock)
         windows.append(window)
-        profiles.append(_profile_table(trial, window, profile))
+        profiles.append(profile)
 
     shifted = shift_observations([trial.observation for trial in trials], alone)
     part = partial_progress(progress, len(trials), len(trials) + 1)
@@ -234,7 +234,8 @@ def _estimate_apart(
         value = alone[name] + joint_fit.offset + mean
         by_trial[name] = Interval.from_deviation(value, deviation, floor)
     drift, _ = _estimate_drift(joint_fit, background)
-    offset = ClockOffset(by_trial, False, drift, profiles[0])
+    table = _profile_table(trials[0], windows[0], profiles[0])
+    offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, fits, windows), joint_fit
 
 
