@@ -231,23 +231,27 @@ def verdict_sentences(
 
     unexplained: sentence of `unexplained_document`.
     """
-    kind = judgement.verdict.kind
-    if kind == "none":
-        agreement = (
+    stated = _verdict_sentence(judgement, causes)
+    if judgement.verdict.kind == "partial":
+        return [unexplained, stated]
+    return [stated, unexplained]
+
+
+def _verdict_sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
+    """State the verdict in one or two sentences."""
+    verdict = judgement.verdict
+    if verdict.kind == "none":
+        return (
             "The simulation agrees with the measured trials within noise and tolerance."
         )
-        return [agreement, unexplained]
-    if kind == "unknown":
-        disagreement = (
+    if verdict.kind == "unknown":
+        return (
             "The simulation disagrees with the measured trials, "
             "and no effect of the library explains it."
         )
-        return [disagreement, unexplained]
-    if kind == "insufficient":
-        refusal = "" if judgement.interrupted else "These trials cannot answer."
-        return [refusal, unexplained]
-    stated = _cause_sentences(judgement, causes)
-    return [unexplained, *stated] if kind == "partial" else [*stated, unexplained]
+    if verdict.kind == "insufficient":
+        return "" if judgement.interrupted else "These trials cannot answer."
+    return " ".join(_cause_sentences(judgement, causes))
 
 
 def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
