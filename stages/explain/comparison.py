@@ -23,10 +23,9 @@ from stringcast.stages.inference.mesh import mesh_ladder, with_corrected_points
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import with_estimated_noise
 from stringcast.stages.inference.solver import (
-    FLAT_CURVATURE_SHARE,
-    SMALLEST_FLOAT,
     fit_least_squares,
     minimise_in_box,
+    with_flat_curvature,
 )
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
@@ -127,9 +126,7 @@ class Comparer:
             high = np.append(1.0 - base_start, 1.0 / fraction)
             normal = slopes @ slopes.T / len(unexplained)
             gradient = slopes @ unexplained / len(unexplained)
-            flat = FLAT_CURVATURE_SHARE * np.diag(normal).mean() + SMALLEST_FLOAT
-            damped = normal + flat * np.eye(len(normal))
-            step = minimise_in_box(damped, gradient, low, high)
+            step = minimise_in_box(with_flat_curvature(normal), gradient, low, high)
             left = unexplained + step @ slopes
             least = min(least, float(np.mean(left**2)))
         return least

@@ -321,10 +321,14 @@ def promised_gain(
     curvature, gradient
         At exponents chi (P,), (P, P) and (P,).
     """
-    flat = FLAT_CURVATURE_SHARE * np.diag(curvature).mean() + SMALLEST_FLOAT
-    damped = curvature + flat * np.eye(len(chi))
-    step = minimise_in_box(damped, gradient, -chi, 1.0 - chi)
+    step = minimise_in_box(with_flat_curvature(curvature), gradient, -chi, 1.0 - chi)
     return float(-(gradient @ step + 0.5 * step @ curvature @ step))
+
+
+def with_flat_curvature(curvature: np.ndarray) -> np.ndarray:
+    """Add so little curvature (P, P) that only a direction without any stays put."""
+    flat = FLAT_CURVATURE_SHARE * np.diag(curvature).mean() + SMALLEST_FLOAT
+    return np.asarray(curvature + flat * np.eye(len(curvature)))
 
 
 def _step_runs(
