@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -234,6 +234,24 @@ def drop_spikes(t: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return times (F,) and positions (F, 2) without those that jump away and back."""
     is_kept = ~spike_mask(t, xy)
     return t[is_kept], xy[is_kept]
+
+
+def without_spikes(trial: CheckedTrial) -> CheckedTrial:
+    """Return a trial without points that jump away and back.
+
+    Where points were measured at other places in every frame, all of them stay.
+    """
+    points = trial.points
+    t, s = points["t"].to_numpy(), points["s"].to_numpy()
+    xy = points[["x", "y"]].to_numpy()
+    tracks = track_places(np.searchsorted(trial.frame_t, t), s)
+    if places_wander(s, tracks):
+        return trial
+    is_kept = np.ones(len(points), dtype=bool)
+    for track in tracks:
+        is_kept[track] = ~spike_mask(t[track], xy[track])
+    observation = replace(trial.observation, points=points[is_kept])
+    return replace(trial, observation=observation)
 
 
 def scatter_of_track(t: np.ndarray, xy: np.ndarray) -> np.ndarray:

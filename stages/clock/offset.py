@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
-from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.check.measured import CheckedTrial, without_spikes
 from stringcast.stages.clock.fit import (
     MIN_EXPLAINED_FRACTION,
     ClockFit,
@@ -180,7 +180,11 @@ def fit_clock_offset(
 
     Parameters are those of `estimate_clock_offset`.
     """
-    trials = [CheckedTrial(o, model.arm, model.string.length) for o in observations]
+    # Spikes seem to be beyond the string at the true offset, and lead the fit astray
+    trials = []
+    for observation in observations:
+        trial = CheckedTrial(observation, model.arm, model.string.length)
+        trials.append(without_spikes(trial))
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
     if len(set(windows.values())) > 1:
@@ -337,7 +341,7 @@ def find_wrong_clock(
     for observation in usable:
         trial = CheckedTrial(observation, model.arm, model.string.length)
         if onset_window(trial) is not None:
-            resting.append(trial)
+            resting.append(without_spikes(trial))
     if largest_possible_offset(resting) < HARMLESS_OFFSET_S:
         return None
     resting_observations = [trial.observation for trial in resting]
