@@ -117,24 +117,17 @@ def with_random_effects(
         if not cause.varies_between_trials:
             continue
         residuals, shapes = _shapes_per_metre(data, hypothesis, cause, chi)
-        as_it_is = data.for_hypothesis(hypothesis)
-        by_grid_point = as_it_is.log_likelihood_by_grid_point(residuals)
-        without = data.without_random_effect(cause.name)
-        others = without.for_hypothesis(hypothesis)
-        by_width = np.zeros(len(TIP_SHIFT_WIDTHS_M))
-        for trial, residual, shape in zip(
-            others.trials, residuals, shapes, strict=True
-        ):
-            discrepancy = trial.discrepancy
-            log_likelihoods = discrepancy.log_likelihood_by_width(
-                discrepancy.coefficients(residual), shape, TIP_SHIFT_WIDTHS_M
-            )
-            by_width += marginal_log_likelihood(log_likelihoods)[:, 0]
-        best = int(np.argmax(by_width))
-        if by_width[best] > marginal_log_likelihood(by_grid_point).sum():
-            scaled = tuple(TIP_SHIFT_WIDTHS_M[best] * shape for shape in shapes)
+        tried = [data]
+        for width_m in TIP_SHIFT_WIDTHS_M:
+            scaled = tuple(width_m * shape for shape in shapes)
             random_effects = {**data.random_effects, cause.name: scaled}
-            data = replace(data, random_effects=random_effects)
+            tried.append(replace(data, random_effects=random_effects))
+        log_likelihoods = []
+        for each in tried:
+            extended = each.for_hypothesis(hypothesis)
+            by_grid_point = extended.log_likelihood_by_grid_point(residuals)
+            log_likelihoods.append(marginal_log_likelihood(by_grid_point).sum())
+        data = tried[int(np.argmax(log_likelihoods))]
     return data
 
 

@@ -126,34 +126,6 @@ class Discrepancy:
             by_onset.append(self._at_onset(onset).log_likelihood_by_scale(coefficients))
         return np.concatenate(by_onset, axis=1)
 
-    def log_likelihood_by_width(
-        self, coefficients: np.ndarray, shapes: np.ndarray, widths: np.ndarray
-    ) -> np.ndarray:
-        """Compute the log-likelihood with further nuisance of several widths.
-
-        Parameters
-        ----------
-        coefficients
-            Of residuals, (C, 2 M).
-        shapes
-            Of the further nuisance over sigma, (2 n, m), for a width of one.
-        widths
-            Multiples of the shapes that are tried, (V,).
-
-        Returns
-        -------
-        numpy.ndarray, shape (V, C, W S)
-        """
-        extended = self.with_nuisance(shapes)
-        present = self.nuisance_shapes.shape[1]
-        factors = np.ones((len(widths), extended.nuisance_shapes.shape[1]))
-        factors[:, present:] = widths[:, None]
-        by_onset = []
-        for onset in range(len(ONSET_SHARES)):
-            errors = extended._at_onset(onset)
-            by_onset.append(errors.log_likelihood_by_factors(coefficients, factors))
-        return np.concatenate(by_onset, axis=2)
-
     def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
 
@@ -266,33 +238,6 @@ class _ErrorsOfOnset:
         explained = np.sum((projected @ covariance) * projected, axis=2)
         return np.asarray(-0.5 * (square - explained.T + log_determinant))
 
-    def log_likelihood_by_factors(
-        self, coefficients: np.ndarray, factors: np.ndarray
-    ) -> np.ndarray:
-        """Compute the log-likelihood with scaled nuisance, (V, C, S).
-
-        Parameters
-        ----------
-        coefficients
-            Of residuals, (C, 2 M).
-        factors
-            Of each column of U, (V, m).
-        """
-        precision = self.basis.precision_by_scale
-        turned = self.basis.turn(coefficients)
-        square = np.sum(turned**2, axis=1) @ precision.T  # (C, S)
-        projected = self._project(turned, precision).transpose(2, 1, 0)  # (S, m, C)
-        log_determinant = -2 * np.log(precision).sum(axis=1)  # (S,)
-        by_factor = []
-        for factor in factors:
-            products = factor[:, None] * self._nuisance_products * factor
-            information = products + np.eye(len(factor))
-            scaled = factor[:, None] * projected
-            explained = np.sum(scaled * np.linalg.solve(information, scaled), axis=1)
-            volume = log_determinant + np.linalg.slogdet(information)[1]
-            by_factor.append(-0.5 * (square - explained.T + volume))
-        return np.stack(by_factor)
-
     def nuisance_amplitudes(
         self, coefficients: np.ndarray, scale_index: int
     ) -> np.ndarray:
@@ -317,16 +262,12 @@ class _ErrorsOfOnset:
         The covariance (1 + U' D^-1 U)^-1 (S, m, m) of the nuisance's amplitudes given
         the data, and ln |V| (S,).
         """
-        information = self._nuisance_products + np.eye(len(self.nuisance))
-        log_determinant = -2 * np.log(self.basis.precision_by_scale).sum(axis=1)
+        precision = self.basis.precision_by_scale
+        products = self._project(self.nuisance, precision).transpose(2, 0, 1)
+        information = products + np.eye(len(self.nuisance))
+        log_determinant = -2 * np.log(precision).sum(axis=1)
         log_determinant += np.linalg.slogdet(information)[1]
         return np.linalg.inv(information), log_determinant
-
-    @cached_property
-    def _nuisance_products(self) -> np.ndarray:
-        """Products U' D^-1 U of the nuisance's columns at each scale, (S, m, m)."""
-        products = self._project(self.nuisance, self.basis.precision_by_scale)
-        return products.transpose(2, 0, 1)
 
 
 def remove_smooth_motion(

@@ -478,23 +478,6 @@ def test_shapes_of_the_nuisance_are_added_and_replaced_in_order():
         errors = errors.replace_leading_nuisance(third, 2)
 
 
-def test_widths_of_further_nuisance_are_tried_as_if_each_was_added_alone():
-    rng = np.random.default_rng(3)
-    trial = film(20, 12, rng)
-    trial.noise, trial.sigma = WHITE_NOISE, np.full(240, 1e-3)
-    present, further = (rng.standard_normal((480, m)) for m in (2, 3))
-    errors = discrepancy.Discrepancy.for_trial(trial, np.ones(20), present)
-    coefficients = errors.coefficients(rng.standard_normal((4, 480)))
-    widths = np.array([0.0, 0.1, 3.0])
-    found = errors.log_likelihood_by_width(coefficients, further, widths)
-    for number, width in enumerate(widths):
-        alone = errors.with_nuisance(width * further)
-        expected = alone.log_likelihood_by_grid_point(coefficients)
-        assert found[number] == pytest.approx(expected, rel=1e-9)
-    absent = errors.log_likelihood_by_grid_point(coefficients)
-    assert found[0] == pytest.approx(absent, rel=1e-9)
-
-
 @pytest.mark.parametrize(("sigma", "least"), [(None, 9e-5), (2e-3, 2e-3), (1e-6, 9e-5)])
 def test_no_place_is_known_better_than_stated(sigma, least):
     times = 0.01 * np.arange(8)
