@@ -17,7 +17,6 @@ from dataclasses import fields, is_dataclass
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 import numpy as np
-from scipy.sparse import csr_array
 
 ArgumentsP = ParamSpec("ArgumentsP")
 Arrays = tuple[np.ndarray, ...]
@@ -116,9 +115,6 @@ def _content_parts(value: Any) -> Iterator[bytes]:
     elif isinstance(value, np.ndarray):
         yield f"{value.dtype}{value.shape}".encode()
         yield np.ascontiguousarray(value).tobytes()
-    elif isinstance(value, csr_array):
-        yield from _content_parts([value.shape, value.data])
-        yield from _content_parts([value.indices, value.indptr])
     elif isinstance(value, Mapping):
         # in any order: stored settings are sorted, those of a command are not
         for digest in sorted(map(content_digest, value.items())):

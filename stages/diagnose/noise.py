@@ -12,11 +12,15 @@ from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     with_initial_states_of,
 )
-from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.initial_modes import trials_with_reestimated_start
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.noise import WHITE_NOISE, fit_noise_model, noise_track
+from stringcast.stages.inference.noise import (
+    WHITE_NOISE,
+    fit_noise_model,
+    noise_track,
+    remove_smooth_motion,
+)
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model

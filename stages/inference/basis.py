@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cholesky, solve_triangular
-from scipy.sparse import csr_array, hstack
 
 from stringcast.stages.model.engine.threads import compile_kernel
 
@@ -47,10 +46,10 @@ def highest_frequency(times: np.ndarray) -> float:
     return float((len(nodes) - 1) / (2 * np.ptp(nodes)))
 
 
-def time_splines(times: np.ndarray, spacing: float = KNOT_SPACING_S) -> csr_array:
+def time_splines(times: np.ndarray, spacing: float = KNOT_SPACING_S) -> np.ndarray:
     """Evaluate cubic B-splines at times (F,), `spacing` seconds apart, (F, B)."""
     knots = np.pad(time_nodes(times, spacing), 3, mode="edge")
-    return BSpline.design_matrix(times, knots, 3)
+    return np.asarray(BSpline.design_matrix(times, knots, 3).toarray())
 
 
 def place_functions(s: np.ndarray, length: float) -> np.ndarray:
@@ -67,12 +66,6 @@ def place_functions(s: np.ndarray, length: float) -> np.ndarray:
 
     root = nystrom_root(s, nodes, squared_exponential)
     return root * (s / length)[:, None]
-
-
-def tensor_products(time: csr_array, place: np.ndarray) -> csr_array:
-    """Multiply functions of time (n, B) by functions of place (n, K), (n, K B)."""
-    blocks = [csr_array(time.multiply(column[:, None])) for column in place.T]
-    return csr_array(hstack(blocks, format="csr"))
 
 
 def nystrom_root(

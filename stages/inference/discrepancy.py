@@ -22,14 +22,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from stringcast.stages.common import mad_sigma
-from stringcast.stages.inference.basis import (
-    RANK_TOLERANCE,
-    knot_spacing,
-    place_functions,
-    tensor_products,
-    time_splines,
-)
 from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis, OnsetBasis
 from stringcast.stages.inference.discrepancy_grid import (
     ONSET_SHARES,
@@ -37,9 +29,6 @@ from stringcast.stages.inference.discrepancy_grid import (
 )
 from stringcast.stages.inference.noise import MeasuredTrial
 from stringcast.stages.inference.whitening import LowRankWhitening
-
-# of all numbers: fewer beyond what splines reach do not give the noise
-MIN_FREE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -268,25 +257,3 @@ class _ErrorsOfOnset:
         log_determinant = -2 * np.log(precision).sum(axis=1)
         log_determinant += np.linalg.slogdet(information)[1]
         return np.linalg.inv(information), log_determinant
-
-
-def remove_smooth_motion(
-    trial: MeasuredTrial,
-    residual: np.ndarray,
-) -> tuple[np.ndarray, float]:
-    """Remove smooth motion from residuals (n, 2) over sigma.
-
-    Returns the rest and the noise over sigma, estimated robustly from it. Where too few
-    numbers are left to do that, nothing is removed.
-    """
-    time = time_splines(trial.times, knot_spacing(trial.times))
-    place = place_functions(trial.s, trial.model.string.length)
-    splines = tensor_products(time[trial.frame], place)
-    gram = (splines.T @ splines).toarray()
-    free_share = 1 - np.linalg.matrix_rank(gram) / len(residual)
-    if free_share < MIN_FREE_SHARE:
-        return residual, float(mad_sigma(residual))
-    sums = splines.T @ residual
-    by_spline = np.linalg.lstsq(gram, sums, rcond=RANK_TOLERANCE)[0]
-    rest = residual - splines @ by_spline
-    return rest, float(mad_sigma(rest) / np.sqrt(free_share))

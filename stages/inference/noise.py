@@ -23,17 +23,21 @@ from typing import Protocol
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
     RANK_TOLERANCE,
     SmoothFunctions,
     knot_spacing,
     place_functions,
+    sum_products,
     time_splines,
 )
 from stringcast.stages.model.model import Model
 
 MAX_FRAME_CORRELATION = 0.5  # as of means over two frames: more is motion
+# of all numbers: fewer beyond what splines reach do not give the noise
+MIN_FREE_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -149,21 +153,48 @@ def gram_roots(gram: np.ndarray) -> np.ndarray:
     return np.asarray(np.einsum("fik,fk,fjk->fij", vectors, sizes, vectors))
 
 
+def remove_smooth_motion(
+    trial: MeasuredTrial, residual: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Remove smooth motion from residuals (n, 2) over sigma.
+
+    Returns the rest and the noise over sigma, estimated robustly from it. Where too few
+    numbers are left to do that, nothing is removed.
+    """
+    functions = _functions_below_noise(trial)
+    everywhere = np.ones(len(residual), dtype=bool)
+    gram_by_frame = functions.gram_by_frame(np.ones(len(residual)))
+    gram = sum_products(functions.in_time, functions.in_time, gram_by_frame)
+    free_share = 1 - np.linalg.matrix_rank(gram) / len(residual)
+    if free_share < MIN_FREE_SHARE:
+        return residual, float(mad_sigma(residual))
+    sums = functions.sums(residual[None])  # (2, K B)
+    factors = np.linalg.lstsq(gram, sums.T, rcond=RANK_TOLERANCE)[0].T
+    rest = residual - functions.at_points(factors, everywhere).reshape(-1, 2)
+    return rest, float(mad_sigma(rest) / np.sqrt(free_share))
+
+
 def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
     """Project residuals (n, 2) over sigma on what the noise is estimated from.
 
     Divided by the root of the Gram matrix of functions of place, white noise has unit
     variance in them.
     """
-    time = time_splines(trial.times, knot_spacing(trial.times))
-    place = place_functions(trial.s, trial.model.string.length)
+    functions = _functions_below_noise(trial)
     frames = len(trial.times)
     sums = np.zeros((frames, PLACE_FUNCTIONS, 2))
-    np.add.at(sums, trial.frame, place[:, :, None] * residual[:, None, :])
-    functions = SmoothFunctions(time.toarray(), place, trial.frame)
-    roots = gram_roots(functions.gram_by_frame(np.ones(len(place))))
+    products = functions.in_place[:, :, None] * residual[:, None, :]
+    np.add.at(sums, trial.frame, products)
+    roots = gram_roots(functions.gram_by_frame(np.ones(len(residual))))
     inverse = np.linalg.pinv(roots, rcond=np.sqrt(RANK_TOLERANCE), hermitian=True)
     return NoiseTrack(functions.in_time, (inverse @ sums).reshape(frames, -1))
+
+
+def _functions_below_noise(trial: MeasuredTrial) -> SmoothFunctions:
+    """Expand the motion of a trial in functions that leave some noise of its frames."""
+    in_time = time_splines(trial.times, knot_spacing(trial.times))
+    in_place = place_functions(trial.s, trial.model.string.length)
+    return SmoothFunctions(in_time, in_place, trial.frame)
 
 
 def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:

@@ -200,7 +200,7 @@ class SeparableNoiseBasis(NoiseBasis):
 
 def find_noise_basis(trial: MeasuredTrial) -> NoiseBasis:
     """Find the basis of a trial, in blocks if time and place separate."""
-    in_time = time_splines(trial.times).toarray()
+    in_time = time_splines(trial.times)
     in_place = place_functions(trial.s, trial.model.string.length)
     functions = SmoothFunctions(in_time, in_place, trial.frame)
     gram = functions.gram_by_frame(np.ones(len(trial.s)))

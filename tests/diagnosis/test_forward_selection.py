@@ -22,7 +22,7 @@ from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_mode
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.rules import is_supported
 from stringcast.stages.inference.basis import place_functions
-from stringcast.stages.inference.discrepancy import Discrepancy, remove_smooth_motion
+from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.discrepancy_basis import matern_root
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
@@ -31,6 +31,7 @@ from stringcast.stages.inference.discrepancy_grid import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
+from stringcast.stages.inference.noise import remove_smooth_motion
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData

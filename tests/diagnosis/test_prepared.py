@@ -32,11 +32,11 @@ from stringcast.stages.diagnose.noise import (
     reestimate_noise,
 )
 from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
-from stringcast.stages.inference.discrepancy import remove_smooth_motion
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh_correction import MeshCorrection
+from stringcast.stages.inference.noise import remove_smooth_motion
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.search import (
     refine_solution,

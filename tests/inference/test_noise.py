@@ -16,7 +16,6 @@ from stringcast.stages.inference.basis import (
     PLACE_FUNCTIONS,
     SmoothFunctions,
     place_functions,
-    tensor_products,
     time_splines,
 )
 from stringcast.stages.inference.discrepancy import Discrepancy
@@ -139,15 +138,21 @@ def test_what_a_model_lacks_in_two_of_five_trials_is_no_noise(trial):
     )
 
 
+def dense_products(time, place):
+    """Multiply functions of time (n, B) by functions of place (n, K), (n, K B)."""
+    products = place[:, :, None] * time[:, None, :]
+    return products.reshape(len(time), -1)
+
+
 def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
     noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
     time, place = time_splines(T), place_functions(trial.s, 0.3)
-    splines = tensor_products(time[trial.frame], place).toarray()
+    splines = dense_products(time[trial.frame], place)
     dense = np.kron(toeplitz(BEFORE ** np.arange(FRAMES)), along_string())
     expected = splines.T @ dense @ splines
-    smooth = SmoothFunctions(time.toarray(), place, trial.frame)
+    smooth = SmoothFunctions(time, place, trial.frame)
     roots = gram_roots(smooth.gram_by_frame(np.ones(len(place))))
-    assert noise.covariance(time.toarray(), roots) == pytest.approx(
+    assert noise.covariance(time, roots) == pytest.approx(
         expected, abs=1e-5 * np.abs(expected).max()
     )
 
@@ -158,14 +163,14 @@ def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
     kept = np.arange(len(trial.s)) >= missing
     seen = trial.select_points(kept)
     in_place = place_functions(seen.s, 0.3)
-    smooth = SmoothFunctions(time_splines(T).toarray(), in_place, seen.frame)
+    smooth = SmoothFunctions(time_splines(T), in_place, seen.frame)
     roots = gram_roots(smooth.gram_by_frame(np.ones(len(in_place))))
     noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
     basis = find_noise_basis(replace(seen, noise=noise))
     assert isinstance(basis, JointNoiseBasis) == (missing > 0)
 
     # Residuals of x whose covariance in smooth functions is that of the noise
-    splines = tensor_products(time_splines(T)[seen.frame], in_place).toarray()
+    splines = dense_products(time_splines(T)[seen.frame], in_place)
     values, vectors = np.linalg.eigh(noise.covariance(smooth.in_time, roots))
     sums = vectors * np.sqrt(values)
     residuals = np.zeros((len(values), len(seen.s), 2))

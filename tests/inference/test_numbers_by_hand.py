@@ -20,7 +20,7 @@ from stringcast.stages.inference.covariance import Covariance
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_state import first_frame_kinematics
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.noise import WHITE_NOISE, Noise
+from stringcast.stages.inference.noise import WHITE_NOISE, Noise, remove_smooth_motion
 from stringcast.stages.inference.noise_basis import find_noise_basis
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.search import horizons
@@ -448,7 +448,7 @@ def test_noise_is_found_beside_smooth_motion():
     trial = film(200, 12, rng)
     noise = rng.standard_normal((2400, 2))
     swing = 50 * np.sin(9 * trial.times[trial.frame]) * trial.s / 0.3
-    rest, found = discrepancy.remove_smooth_motion(trial, noise + swing[:, None])
+    rest, found = remove_smooth_motion(trial, noise + swing[:, None])
     assert found == pytest.approx(1.0, abs=0.03)
     assert np.std(rest) < 0.95  # splines follow some of the noise
     assert np.corrcoef(rest[:, 0], noise[:, 0])[0, 1] > 0.9
@@ -458,7 +458,7 @@ def test_nothing_is_removed_where_splines_follow_every_point():
     rng = np.random.default_rng(3)
     trial = film(20, 2, rng)
     residual = rng.standard_normal((40, 2))
-    rest, found = discrepancy.remove_smooth_motion(trial, residual)
+    rest, found = remove_smooth_motion(trial, residual)
     assert rest is residual
     assert found == pytest.approx(mad_sigma(residual))
 
