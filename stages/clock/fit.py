@@ -23,7 +23,7 @@ from stringcast.stages.inference.discrepancy_grid import most_likely_grid_point
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
-from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effects.clock_drift import ClockDrift
 from stringcast.stages.model.effects.time_offset import TimeOffset
@@ -111,15 +111,25 @@ def fit_clock(
     likelihood = Likelihood(TrialData(tuple(trials)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, STARTS, progress)
     _, measured = estimate_initial_noise(likelihood, chi, noise_is_given)
-    hypothesis = Hypothesis(likelihood.model)
-    data = attach_discrepancy_model(measured, hypothesis, chi)
+    clock = _fit_with_discrepancy(measured, Hypothesis(likelihood.model), chi)
+    restarted = replace(clock, fit=fit_from_beginnings(clock.data, clock.fit))
+    return _better_fit(clock, restarted)
+
+
+def _fit_with_discrepancy(
+    trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
+) -> ClockFit:
+    """Attach the discrepancy to trials at exponents (P,), and fit from there."""
+    data = attach_discrepancy_model(trials, hypothesis, chi)
     residuals = data.residuals(hypothesis.model, chi[None])
     by_grid_point = data.log_likelihood_by_grid_point(residuals)[:, 0]
     grid_points = most_likely_grid_point(by_grid_point)
-    fit = fit_hypothesis(data, hypothesis, chi[None], grid_points)
-    restarted = fit_from_beginnings(data, fit)
-    best = max((fit, restarted), key=lambda each: each.log_evidence)
-    return ClockFit(data, best)
+    return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], grid_points))
+
+
+def _better_fit(*fits: ClockFit) -> ClockFit:
+    """Return the fit with the most evidence."""
+    return max(fits, key=lambda clock: clock.fit.log_evidence)
 
 
 def fit_drift(clock: ClockFit) -> ClockFit:
@@ -244,7 +254,20 @@ def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
     """Refit from other exponents (P,); return the better of both fits."""
     fit = clock.fit
     other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.grid_points)
-    return replace(clock, fit=other) if other.log_evidence > fit.log_evidence else clock
+    return _better_fit(clock, replace(clock, fit=other))
+
+
+def refit_from_string(clock: ClockFit, other: ClockFit, offset: float) -> ClockFit:
+    """Refit from another fit's string and an offset [s]; return the better fit.
+
+    How errors grow within trials is measured again, as it depends on the string.
+    """
+    hypothesis = clock.fit.hypothesis
+    parameter = hypothesis.model.parameters[clock.index]
+    exponents = {**other.fit.exponents, OFFSET: float(parameter.chi(offset))}
+    start = hypothesis.exponents_from(exponents)
+    trials = [replace(trial, growth=np.zeros(0)) for trial in clock.data.trials]
+    return _better_fit(clock, _fit_with_discrepancy(trials, hypothesis, start))
 
 
 def shift_observations(

@@ -30,6 +30,7 @@ from stringcast.stages.clock.fit import (
     fit_drift,
     profile_offset,
     refit_from,
+    refit_from_string,
     shift_observations,
 )
 from stringcast.stages.clock.posterior import clock_posterior, time_slopes
@@ -191,12 +192,22 @@ def fit_clock_offset(
         apart, _ = _estimate_apart(model, used, rng, progress)
         return apart
 
-    together = _estimate_together(model, used, windows[used[0].name], rng, progress)
+    window = windows[used[0].name]
+    part = partial_progress(progress, 0, 2)
+    common_fit, profile = _fit_within(model, used, window, rng, part)
+    together = _describe_common(common_fit, profile, used, window)
     if together.clock.is_common:
+        progress(1.0)
         return together
     apart, joint_fit = _estimate_apart(model, used, rng, progress)
-    if explains_more(joint_fit, together.fits[0]):
+    # The string of own clocks may be one that the search for one clock missed
+    offsets = [interval.value for interval in apart.clock.by_trial.values()]
+    middle = float(np.median(offsets)) - window.middle
+    common_fit = refit_from_string(common_fit, joint_fit, middle)
+    if explains_more(joint_fit, common_fit):
         return apart
+    profile = profile_offset(common_fit, window.half_width + EDGE_S)
+    together = _describe_common(common_fit, profile, used, window)
     return replace(together, clock=replace(together.clock, is_common=True))
 
 
@@ -243,17 +254,13 @@ def _estimate_apart(
     return FittedOffset(offset, fits, windows), joint_fit
 
 
-def _estimate_together(
-    model: Model,
+def _describe_common(
+    clock: ClockFit,
+    profile: OffsetProfile,
     trials: Sequence[CheckedTrial],
     window: Window,
-    rng: np.random.Generator,
-    progress: Progress,
 ) -> FittedOffset:
-    """Estimate one offset of trials within a window."""
-    part = partial_progress(progress, 0, 2)
-    clock, profile = _fit_within(model, trials, window, rng, part)
-
+    """Describe the offset of a fit that has one for all trials, within a window."""
     # The offset with every effect of the library
     background = effect_responses(clock)
     frame_s = _longest_frame_s(trials)
@@ -261,8 +268,6 @@ def _estimate_together(
     own = _posterior(clock, background, _own_columns(clock))
     scatter_s = _scatter_of_trials(own)
     interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
-    progress(1.0)
-
     estimate = ClockOffset(
         by_trial=dict.fromkeys([trial.name for trial in trials], interval),
         is_common=not _trials_differ(own, frame_s),

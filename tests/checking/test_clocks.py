@@ -151,15 +151,19 @@ def push_aside(observation, acceleration):
 
 
 @pytest.mark.long
-def test_trials_that_something_unknown_moves_keep_one_clock():
-    """Without this, three of the trials got offsets that are wrong by up to 20 ms."""
+@pytest.mark.parametrize("seed", [0, 1])
+def test_trials_that_something_unknown_moves_keep_one_clock(seed):
+    """The fit with one clock begins again from the string that own clocks found.
+
+    Without this, trials got clocks of their own that were up to 290 ms off.
+    """
     accelerations = (4.0, 3.0, 3.6, 3.2)
     pushed = [
         push_aside(late(seen, 0.0, tip_alone=False).observation, acceleration)
         for seen, acceleration in zip(TRIALS, accelerations, strict=False)
     ]
     model = plain_model(CHECKED)
-    found = estimate_clock_offset(model, pushed, np.random.default_rng(0))
+    found = estimate_clock_offset(model, pushed, np.random.default_rng(seed))
     assert found.is_common
     assert found.drift is None
     interval = found.by_trial["t00"]
@@ -203,41 +207,26 @@ def clock_with(log_likelihoods, misfit_m):
 
 
 @pytest.mark.parametrize(
-    ("gains", "left_m", "is_common"),
+    ("gains", "left_m", "is_believed"),
     [
-        ((10.0, 10.0), (0.01, 0.01), False),
-        ((10.0, 10.0), (0.08, 0.08), True),
-        ((-10.0, -10.0), (0.01, 0.01), True),
-        # one trial alone never decides, by its likelihood or by its misfit
-        ((90.0, -10.0), (0.01, 0.01), True),
-        ((90.0, 10.0), (0.01, 0.08), True),
+        ((10.0, 10.0), (0.01, 0.01), True),
+        ((10.0, 10.0), (0.08, 0.08), False),
+        ((-10.0, -10.0), (0.01, 0.01), False),
+        # one trial of several never decides, by its likelihood or by its misfit
+        ((90.0, -10.0), (0.01, 0.01), False),
+        ((90.0, 10.0), (0.01, 0.08), False),
+        # the only trial does
+        ((10.0,), (0.01,), True),
+        ((10.0,), (0.08,), False),
     ],
 )
-def test_own_clocks_need_evidence_and_explain_half_of_the_misfit(
-    gains, left_m, is_common, monkeypatch
+def test_more_freedom_of_clocks_needs_evidence_and_explains_half_of_the_misfit(
+    gains, left_m, is_believed, monkeypatch
 ):
-    window = Window(-0.3, 0.3)
-    name = TRIALS[0].name
-    by_trial = {name: Interval(0.0, -0.1, 0.1)}
-    clock = ClockOffset(by_trial, False, None, pd.DataFrame())
-    together = FittedOffset(clock, [clock_with((0.0, 0.0), (0.1, 0.1))], [window])
-    apart = replace(together, clock=replace(clock))
-    joint_fit = clock_with(gains, left_m)
-    monkeypatch.setattr(offset, "_estimate_together", lambda *given: together)
-    monkeypatch.setattr(offset, "_estimate_apart", lambda *given: (apart, joint_fit))
     monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
-    observations = [seen.observation for seen in TRIALS[:2]]
-    found = estimate_clock_offset(
-        plain_model(CHECKED), observations, np.random.default_rng(0)
-    )
-    assert found.is_common == is_common
-
-
-def test_the_only_trial_decides_whether_its_clock_drifts(monkeypatch):
-    monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
-    without = clock_with([0.0], [0.1])
-    assert clock_fit.explains_more(clock_with([10.0], [0.01]), without)
-    assert not clock_fit.explains_more(clock_with([10.0], [0.08]), without)
+    simpler = clock_with(np.zeros(len(gains)), np.full(len(gains), 0.1))
+    fuller = clock_with(gains, left_m)
+    assert clock_fit.explains_more(fuller, simpler) == is_believed
 
 
 def test_offsets_that_scatter_beyond_their_posterior_state_by_how_much():
