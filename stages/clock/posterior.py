@@ -13,18 +13,14 @@ import numpy as np
 from stringcast.stages.clock.fit import ClockFit
 from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
-    mixture_over_scales,
+    posterior_of_steps,
 )
-from stringcast.stages.inference.discrepancy_grid import (
-    DISCREPANCY_SCALES_M,
-    log_scale_prior,
-)
+from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.trial_data import ByTrial
 
 MAX_SCALE_M = 0.1  # of the effects' displacement of the tip
 SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
-LOG_SCALE_PRIOR = log_scale_prior()[: len(SCALES_M)]
 
 
 def time_slopes(clock: ClockFit) -> ByTrial:
@@ -40,8 +36,6 @@ def clock_posterior(
 ) -> BackgroundPosterior:
     """Compute the posterior of clock parameters, less those of the fit.
 
-    It is averaged over background scales.
-
     Parameters
     ----------
     clock : ClockFit
@@ -54,36 +48,18 @@ def clock_posterior(
         Of the clock parameters' normal priors about the fit.
     """
     fit = clock.fit
-    clock_count = len(precision)
-    string_count = len(fit.chi) - 1
-    effect_count = len(background[0])
-    size = clock_count + string_count + effect_count
-    normal = np.zeros((size, size))
-    gradient = np.zeros(size)
-    for k, trial in enumerate(clock.data.trials):
-        string_columns = np.delete(fit.slopes[k], clock.index, axis=0)
-        rows = np.concatenate([clock_columns[k], string_columns, background[k]])
-        grid_point = fit.grid_points[k]
-        white = trial.error_model.whiten(rows, grid_point)
-        residual = trial.error_model.whiten(fit.residuals[k][None], grid_point)[0]
-        normal += white @ white.T
-        gradient += white @ residual
-
-    string_precision = np.full(string_count, PRIOR_PRECISION)
-    prior = np.concatenate([precision, string_precision, np.ones(effect_count)])
-    log_evidence = []
-    steps = []
-    covariances = []
-    for scale_m in SCALES_M:
-        scale = np.ones(size)
-        scale[clock_count + string_count :] = scale_m
-        curvature = normal * np.outer(scale, scale) + np.diag(prior)
-        inverse = np.linalg.inv(curvature)
-        step = -inverse @ (scale * gradient)
-        gain = -0.5 * float(step @ (scale * gradient))
-        log_evidence.append(gain - 0.5 * np.linalg.slogdet(curvature)[1])
-        steps.append(step[:clock_count])
-        covariances.append(inverse[:clock_count, :clock_count])
-
-    log_weight = np.array(log_evidence) + LOG_SCALE_PRIOR
-    return mixture_over_scales(log_weight, steps, covariances)
+    slopes = []
+    for columns, fit_slopes in zip(clock_columns, fit.slopes, strict=True):
+        string_slopes = np.delete(fit_slopes, clock.index, axis=0)
+        slopes.append(np.concatenate([columns, string_slopes]))
+    string_precision = np.full(len(fit.chi) - 1, PRIOR_PRECISION)
+    steps = posterior_of_steps(
+        clock.data,
+        fit,
+        slopes,
+        np.concatenate([precision, string_precision]),
+        background,
+        SCALES_M,
+    )
+    count = len(precision)
+    return BackgroundPosterior(steps.mean[:count], steps.covariance[:count, :count])

@@ -31,7 +31,6 @@ from stringcast.stages.model.effect import Effect, is_position_dependent
 
 # The smaller scales of the discrepancy, with the same prior
 BACKGROUND_SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < 2e-3]
-LOG_SCALE_PRIOR = log_scale_prior()[: len(BACKGROUND_SCALES_M)]
 PROBE_FRACTION = 0.01  # of the way from absent to the end of a range: about linear
 
 
@@ -114,38 +113,51 @@ def posterior_with_background(
     background: ByTrial,
 ) -> BackgroundPosterior:
     """Compute the posterior of a fit's exponents, averaged over background scales."""
-    by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
-    products = np.sum(by_trial, axis=0)
-    gradient = np.sum(gradient_by_trial, axis=0)
-    count = len(fit.chi)
-    log_evidence = []
-    steps = []
-    covariances = []
-    for scale_m in BACKGROUND_SCALES_M:
-        value, step, normal = _solve_at_scale(products, gradient, count, scale_m)
-        log_evidence.append(value)
-        steps.append(step[:count])
-        covariances.append(np.linalg.inv(normal)[:count, :count])
-
-    log_weight = np.array(log_evidence) + LOG_SCALE_PRIOR
-    mixture = mixture_over_scales(log_weight, steps, covariances)
-    return replace(mixture, mean=fit.chi + mixture.mean)
+    precision = np.full(len(fit.chi), PRIOR_PRECISION)
+    steps = posterior_of_steps(
+        data, fit, fit.slopes, precision, background, BACKGROUND_SCALES_M
+    )
+    return replace(steps, mean=fit.chi + steps.mean)
 
 
-def mixture_over_scales(
-    log_weight: np.ndarray,
-    means: Sequence[np.ndarray],
-    covariances: Sequence[np.ndarray],
+def posterior_of_steps(
+    data: TrialData,
+    fit: Fit,
+    slopes: ByTrial,
+    precision: np.ndarray,
+    background: ByTrial,
+    scales_m: np.ndarray,
 ) -> BackgroundPosterior:
-    """Compute the moments of a mixture of normal posteriors, one of each scale.
+    """Compute the posterior of steps of parameters from a fit, to first order.
 
     Parameters
     ----------
-    log_weight : numpy.ndarray, shape (S,)
-        Of the scales, up to a constant.
-    means : sequence of numpy.ndarray, shape (P,)
-    covariances : sequence of numpy.ndarray, shape (P, P)
+    slopes : sequence of numpy.ndarray, shape (P, 2 n)
+        Of each trial's residuals over sigma with the parameters.
+    precision : numpy.ndarray, shape (P,)
+        Of the steps' normal priors.
+    background : sequence of numpy.ndarray, shape (E, 2 n)
+        As of `background_responses`.
+    scales_m : numpy.ndarray, shape (S,)
+        Of the background: the first scales of a discrepancy [m].
     """
+    by_trial, gradient_by_trial = _normal_equations_by_trial(
+        data, fit, slopes, background
+    )
+    products = np.sum(by_trial, axis=0)
+    gradient = np.sum(gradient_by_trial, axis=0)
+    count = len(precision)
+    log_evidence = []
+    means = []
+    covariances = []
+    for scale_m in scales_m:
+        value, step, normal = _solve_at_scale(products, gradient, precision, scale_m)
+        log_evidence.append(value)
+        means.append(step[:count])
+        covariances.append(np.linalg.inv(normal)[:count, :count])
+
+    # Moments of a mixture of normal posteriors, one of each scale
+    log_weight = np.array(log_evidence) + log_scale_prior()[: len(scales_m)]
     weight = np.exp(log_weight - logsumexp(log_weight))
     mean = weight @ np.array(means)
     spread = np.array(means) - mean
@@ -167,21 +179,27 @@ def background_log_evidence_gains(
     weights : numpy.ndarray, shape (D, K)
         How often each trial counts.
     """
-    by_trial, gradient_by_trial = _normal_equations_by_trial(data, fit, background)
+    by_trial, gradient_by_trial = _normal_equations_by_trial(
+        data, fit, fit.slopes, background
+    )
     products = np.tensordot(weights, by_trial, 1)
     gradient = weights @ gradient_by_trial
+    # Amplitudes of causes as well: it only keeps the equations solvable
+    precision = np.full(len(fit.chi), PRIOR_PRECISION)
     by_scale = []
     for scale_m in BACKGROUND_SCALES_M:
-        value, _, _ = _solve_at_scale(products, gradient, len(fit.chi), scale_m)
+        value, _, _ = _solve_at_scale(products, gradient, precision, scale_m)
         by_scale.append(value)
     log_evidence = np.array(by_scale)
-    total = logsumexp(log_evidence + LOG_SCALE_PRIOR[:, None], axis=0)
+    log_prior = log_scale_prior()[: len(BACKGROUND_SCALES_M)]
+    total = logsumexp(log_evidence + log_prior[:, None], axis=0)
     return np.asarray(total - log_evidence[0])
 
 
 def _normal_equations_by_trial(
     data: TrialData,
     fit: Fit,
+    slopes: ByTrial,
     background: ByTrial,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Multiply white slopes of parameters and background, M in all.
@@ -195,29 +213,28 @@ def _normal_equations_by_trial(
     """
     data = data.for_hypothesis(fit.hypothesis)
     grid_points = fit.grid_points
-    pairs = zip(fit.slopes, background, strict=True)
-    slopes = [np.concatenate(pair) for pair in pairs]
+    pairs = zip(slopes, background, strict=True)
+    rows = [np.concatenate(pair) for pair in pairs]
     residuals = [residual[None] for residual in fit.residuals]
-    white_slopes = data.whiten_by_trial(slopes, grid_points)
+    white_rows = data.whiten_by_trial(rows, grid_points)
     white_residuals = data.whiten_by_trial(residuals, grid_points)
     products = []
     gradients = []
-    for slope, residual in zip(white_slopes, white_residuals, strict=True):
-        products.append(slope @ slope.T)
-        gradients.append(slope @ residual[0])
+    for white, residual in zip(white_rows, white_residuals, strict=True):
+        products.append(white @ white.T)
+        gradients.append(white @ residual[0])
     return np.array(products), np.array(gradients)
 
 
 def _solve_at_scale(
     products: np.ndarray,
     gradient: np.ndarray,
-    parameters: int,
+    precision: np.ndarray,
     scale_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the normal equations (..., M, M) with a background of one scale.
 
-    All exponents have the normal prior of a uniform one, amplitudes of causes as well:
-    it only keeps the equations solvable.
+    precision: of the parameters' normal priors about the fit, (P,).
 
     Returns
     -------
@@ -225,9 +242,9 @@ def _solve_at_scale(
     step : numpy.ndarray, shape (..., M)
     normal : numpy.ndarray, shape (..., M, M)
     """
-    counts = [parameters, gradient.shape[-1] - parameters]
-    scale = np.repeat([1.0, scale_m], counts)
-    prior = np.repeat([PRIOR_PRECISION, 1.0], counts)
+    effects = gradient.shape[-1] - len(precision)
+    scale = np.concatenate([np.ones(len(precision)), np.full(effects, scale_m)])
+    prior = np.concatenate([precision, np.ones(effects)])
     normal = products * np.outer(scale, scale) + np.diag(prior)
     scaled = scale * gradient
     step = -np.linalg.solve(normal, scaled[..., None])[..., 0]

@@ -40,6 +40,7 @@ from stringcast.stages.clock.windows import (
     possible_windows,
 )
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
+from stringcast.stages.inference.trial_data import TrialData
 
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured" / "tudelft_cable_fr3"
@@ -316,9 +317,13 @@ def linear_problem(background):
     slope = np.array([[1.0, 1.0, 1.0, 1.0]])
     residual = np.array([0.5, 0.5, 0.5, 0.5])
     error_model = SimpleNamespace(whiten=lambda rows, scale: rows)
-    data = SimpleNamespace(trials=[SimpleNamespace(error_model=error_model)])
+    data = TrialData((SimpleNamespace(error_model=error_model),))
     fit = SimpleNamespace(
-        chi=np.array([0.5]), slopes=[slope], residuals=[residual], grid_points=[0]
+        hypothesis=SimpleNamespace(cause_names=()),
+        chi=np.array([0.5]),
+        slopes=[slope],
+        residuals=[residual],
+        grid_points=[0],
     )
     clock = SimpleNamespace(data=data, fit=fit, index=0)
     return clock_posterior(clock, [background], [slope], np.array([1e-6]))
