@@ -20,7 +20,6 @@ from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.common import InterruptRequest, Progress
 from stringcast.stages.diagnose import tables
-from stringcast.stages.diagnose.background_effects import posterior_with_background
 from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.cause_search import search_until_trials_settle
@@ -41,6 +40,7 @@ from stringcast.stages.diagnose.held_out_gain import (
     held_out_trials_misfit,
     measure_gain,
 )
+from stringcast.stages.diagnose.intervals import parameter_uncertainty
 from stringcast.stages.diagnose.measures import tip_shift_rms
 from stringcast.stages.diagnose.posteriors import (
     limit_by_agreement,
@@ -346,9 +346,8 @@ def _finding_table(
     data = shown.prepared.data
     uncertainty = {}
     for name, fit in (("base", judgement.base_fit), ("extended", shown.fit)):
-        posterior = posterior_with_background(data, fit, judgement.background)
-        uncertainty[name] = tables.parameter_uncertainty(
-            data, fit, posterior, settings.interval_half_width
+        uncertainty[name] = parameter_uncertainty(
+            data, fit, judgement.background, settings.interval_half_width
         )
     unexplained = unexplained_document(
         data, shown.fit, judgement, budget, settings.criteria

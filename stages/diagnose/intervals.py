@@ -1,76 +1,103 @@
-"""Intervals of the parameters of a fit."""
+"""Intervals and correlations of the parameters of a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from stringcast.stages.diagnose.background_effects import BackgroundPosterior
-from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.diagnose.background_effects import (
+    BackgroundPosterior,
+    posterior_with_background,
+)
 from stringcast.stages.inference.laplace import Fit
-from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.profile import profile_reaches
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.kept_results import keep_results
 
+MIN_SHOWN_CORRELATION = 0.8  # two such parameters are better read together
 
-def parameter_intervals(
+
+def parameter_uncertainty(
     data: TrialData,
     fit: Fit,
-    posterior: BackgroundPosterior,
+    background: ByTrial,
     half_width: float,
-) -> list[tuple[float, float]]:
-    """Compute the ends of each parameter's interval about its value.
-
-    Parameters of causes may reach farther than a normal posterior.
+) -> dict[str, Any]:
+    """Collect the intervals and large correlations of a fit's parameters.
 
     Parameters
     ----------
     data : TrialData
         To which the fit belongs.
     fit : Fit
-    posterior : BackgroundPosterior
-        Of its exponents. The fit is not its mean, so that the error of the fit has a
-        mean as well.
+    background : sequence of numpy.ndarray
+        What other effects do about the fit, as of `background_effects`.
     half_width : float
         Of the intervals, in standard deviations.
+
+    Returns
+    -------
+    dict
+        As in diagnosis.json: intervals by name, and the most correlated pairs first.
     """
-    hypothesis = fit.hypothesis
+    posterior = posterior_with_background(data, fit, background)
+    reaches = _interval_reaches(data, fit, posterior, half_width)
+    intervals = {}
+    for parameter, name, chi, (below, above) in zip(
+        fit.hypothesis.parameters,
+        fit.hypothesis.model.names,
+        fit.chi,
+        reaches,
+        strict=True,
+    ):
+        ends = np.clip([chi - below, chi + above], 0.0, 1.0)
+        intervals[name] = parameter.value(ends).tolist()
+
+    names = list(intervals)
+    correlations: list[dict[str, Any]] = []
+    for i, j in combinations(range(len(names)), 2):
+        value = float(posterior.correlation[i, j])
+        if abs(value) > MIN_SHOWN_CORRELATION:
+            correlations.append({"parameters": [names[i], names[j]], "value": value})
+    correlations.sort(key=lambda row: -abs(row["value"]))
+    return {"intervals": intervals, "correlations": correlations}
+
+
+def _interval_reaches(
+    data: TrialData, fit: Fit, posterior: BackgroundPosterior, half_width: float
+) -> np.ndarray:
+    """Compute how far each exponent of a fit reaches below and above, (P, 2).
+
+    The fit is not the mean of its posterior, so that its error has a mean as well.
+    Parameters of causes may reach farther than a normal posterior.
+    """
     bias = posterior.mean - fit.chi
     reach = half_width * np.hypot(posterior.standard_deviation, bias)
     reaches = np.repeat(reach[:, None], 2, axis=1)
-    others = np.setdiff1d(np.arange(len(fit.chi)), hypothesis.base_indices).tolist()
+    base = fit.hypothesis.base_indices
+    others = np.setdiff1d(np.arange(len(fit.chi)), base).tolist()
     if others:
-        followed = _reaches_of(
-            data, hypothesis, fit.chi, fit.width, fit.grid_points, others, half_width
-        )
+        followed = _profile_reaches(data, fit, others, half_width)
         reaches[others] = np.maximum(reaches[others], followed)
-
-    intervals = []
-    for parameter, chi, (below, above) in zip(
-        hypothesis.parameters, fit.chi, reaches, strict=True
-    ):
-        low, high = parameter.value(np.clip([chi - below, chi + above], 0.0, 1.0))
-        intervals.append((float(low), float(high)))
-    return intervals
+    return reaches
 
 
 @keep_results
-def _reaches_of(
-    data: TrialData,
-    hypothesis: Hypothesis,
-    chi: np.ndarray,
-    width: np.ndarray,
-    grid_points: np.ndarray,
-    indices: Sequence[int],
-    half_width: float,
+def _profile_reaches(
+    data: TrialData, fit: Fit, indices: Sequence[int], half_width: float
 ) -> np.ndarray:
     """Compute how far some exponents of a fit reach below and above, (I, 2)."""
+    hypothesis = fit.hypothesis
+    base = hypothesis.base_indices
+    extended = data.for_hypothesis(hypothesis)
+    white_slopes = extended.whiten(fit.slopes, fit.grid_points)
+    precision = white_slopes @ white_slopes.T
+    precision[base, base] += PRIOR_PRECISION
     likelihood = Likelihood(
-        data.for_hypothesis(hypothesis),
-        hypothesis.model,
-        grid_points,
-        uniform_indices=hypothesis.base_indices,
+        extended, hypothesis.model, fit.grid_points, uniform_indices=base
     )
-    return profile_reaches(likelihood, chi, width, indices, half_width)
+    return profile_reaches(likelihood, fit.chi, precision, indices, half_width)

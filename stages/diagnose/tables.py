@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,11 +18,7 @@ from stringcast.data.diagnoses import (
     SCREENING,
 )
 from stringcast.stages.common import MM_PER_M
-from stringcast.stages.diagnose.background_effects import (
-    BackgroundPosterior,
-    posterior_with_background,
-)
-from stringcast.stages.diagnose.intervals import parameter_intervals
+from stringcast.stages.diagnose.intervals import parameter_uncertainty
 from stringcast.stages.diagnose.measures import (
     fixed_leave_one_out_gain,
     mean_explained_fraction,
@@ -44,7 +39,6 @@ from stringcast.stages.model.library import effects_by_name
 MAX_COMPARED_EFFECTS = 8  # the most promising
 CELL_S = 0.02  # cells over which displacements are averaged
 CELLS_ALONG_STRING = 4
-MIN_SHOWN_CORRELATION = 0.8  # two such parameters are better read together
 
 
 def hypothesis_label(fit: Fit) -> str:
@@ -248,9 +242,8 @@ def causes_table(
                 f"{between_trials_mm:.0f} mm at the tip"
             )
         common["sentence"] = sentence
-        posterior = posterior_with_background(data, fit, judgement.background)
-        intervals = parameter_intervals(data, fit, posterior, half_width)
-        for row in _parameter_rows(fit, effect, intervals):
+        uncertainty = parameter_uncertainty(data, fit, judgement.background, half_width)
+        for row in _parameter_rows(fit, effect, uncertainty["intervals"]):
             rows.append(common | row)
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
 
@@ -267,51 +260,23 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
 def _parameter_rows(
     fit: Fit,
     effect: type[Effect],
-    intervals: Sequence[tuple[float, float]],
+    intervals: Mapping[str, Sequence[float]],
 ) -> list[dict[str, object]]:
     rows: list[dict[str, object]] = []
-    indices = fit.hypothesis.parameter_indices(effect, effect.parameters)
-    for parameter, index in zip(effect.parameters, indices, strict=True):
-        low, high = intervals[index]
+    for parameter in effect.parameters:
+        name = effect.qualified_name(parameter)
+        low, high = intervals[name]
         row: dict[str, object] = {
-            "parameter": effect.qualified_name(parameter),
+            "parameter": name,
             "meaning": parameter.meaning,
             "unit": parameter.unit,
-            "value": float(parameter.value(fit.chi[index])),
+            "value": fit.values[name],
             "low": low,
             "high": parameter.high if parameter.is_lower_bound else high,
             "at_least": parameter.is_lower_bound,
         }
         rows.append(row)
     return rows
-
-
-def parameter_uncertainty(
-    data: TrialData,
-    fit: Fit,
-    posterior: BackgroundPosterior,
-    half_width: float,
-) -> dict[str, Any]:
-    """Collect the intervals and large correlations of a fit's parameters.
-
-    Returns
-    -------
-    dict
-        As in diagnosis.json, the most correlated pairs first.
-    """
-    names = fit.hypothesis.model.names
-    intervals = {}
-    ends = parameter_intervals(data, fit, posterior, half_width)
-    for name, interval in zip(names, ends, strict=True):
-        intervals[name] = list(interval)
-    correlations: list[dict[str, Any]] = []
-    correlation = posterior.correlation
-    for i, j in combinations(range(len(names)), 2):
-        value = float(correlation[i, j])
-        if abs(value) > MIN_SHOWN_CORRELATION:
-            correlations.append({"parameters": [names[i], names[j]], "value": value})
-    correlations.sort(key=lambda row: -abs(row["value"]))
-    return {"intervals": intervals, "correlations": correlations}
 
 
 def missing_table(data: TrialData, fit: Fit, criteria: Criteria) -> pd.DataFrame:

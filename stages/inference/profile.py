@@ -19,11 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stringcast.stages.inference.huber import huber_loss
-from stringcast.stages.inference.solver import (
-    Problem,
-    fit_least_squares,
-    forward_differences,
-)
+from stringcast.stages.inference.solver import Problem, fit_least_squares
 
 # Of the fall of a likelihood to that of a normal one: within this factor it is normal
 NORMAL_FALL_RATIO = 2.0
@@ -35,7 +31,7 @@ LEAST_PRECISION = 1e-9  # of an exponent that data do not determine
 def profile_reaches(
     problem: Problem,
     chi: np.ndarray,
-    width: np.ndarray,
+    precision: np.ndarray,
     indices: Sequence[int],
     half_width: float,
 ) -> np.ndarray:
@@ -49,18 +45,15 @@ def profile_reaches(
         Whose white residuals are those of the likelihood.
     chi
         The best exponents, (P,).
-    width
-        Over which to difference them, (P,).
+    precision
+        Of a normal posterior about these, (P, P).
     indices
         Of the I exponents.
     half_width
         Of the interval, in standard deviations.
     """
-    residual = problem.residuals(chi[None])
-    slope = forward_differences(problem, chi[None], residual, width[None])[0]
-    precision = slope @ slope.T + LEAST_PRECISION * np.eye(len(chi))
-    covariance = np.linalg.inv(precision)
-    best_loss = huber_loss(residual, problem.limit)[0]
+    covariance = np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(chi)))
+    best_loss = huber_loss(problem.residuals(chi[None]), problem.limit)[0]
 
     # Straight to both ends of the normal interval of each exponent
     index = np.repeat(np.asarray(indices, dtype=int), 2)

@@ -13,7 +13,6 @@ ACROSS = 1e-3  # width of the valley
 ALONG = 0.1  # standard deviation along it
 X_AND_Y = tuple(Parameter(name, "m", "", -1.0, 1.0, 0.0) for name in "xy")
 BEST = np.array([0.5, 0.5])
-WIDTH = np.full(2, 1e-5)
 METRES_PER_EXPONENT = 2.0
 
 
@@ -31,9 +30,19 @@ class Valley:
         return np.stack([x / ALONG, (y - x - self.bend * x**2) / ACROSS], axis=1)
 
 
+def precision_at_best(problem):
+    """Return the precision of a normal posterior, by slopes of the residuals."""
+    step = 1e-5
+    moved = problem.residuals(BEST + step * np.eye(2))
+    slopes = (moved - problem.residuals(BEST[None])) / step
+    return slopes @ slopes.T
+
+
 def reaches(bend, indices=(0, 1)):
     """Return how far exponents reach below and above, in metres."""
-    found = profile_reaches(Valley(bend), BEST, WIDTH, indices, HALF_WIDTH)
+    valley = Valley(bend)
+    precision = precision_at_best(valley)
+    found = profile_reaches(valley, BEST, precision, indices, HALF_WIDTH)
     return METRES_PER_EXPONENT * found
 
 
@@ -60,5 +69,6 @@ def test_an_interval_ends_with_its_range():
         def residuals(self, chi):
             return super().residuals(chi)[:, :1]
 
-    found = profile_reaches(Flat(0.0), BEST, WIDTH, [1], HALF_WIDTH)
+    flat = Flat(0.0)
+    found = profile_reaches(flat, BEST, precision_at_best(flat), [1], HALF_WIDTH)
     assert (found > 0.5).all()
