@@ -1,7 +1,4 @@
-"""Huber's loss: squares within a limit and straight lines beyond it.
-
-Outliers then count less (Huber 1964).
-"""
+"""Huber's loss (1964): quadratic within a limit and linear beyond it."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ def huber_loss(residual: np.ndarray, limit: float) -> np.ndarray:
 
 
 def huber_weights(residual: np.ndarray, limit: float) -> np.ndarray:
-    """Compute the weights (..., N) by which squares have the slope of the loss.
+    """Compute weights (..., N) whose weighted squares have the slope of the loss.
 
     They are 1 within the limit and less beyond it.
     """

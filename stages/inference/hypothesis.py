@@ -12,7 +12,8 @@ from stringcast.stages.model.effect import Effect, acts_abruptly, amplitude_para
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
-# Dry friction that slips at small curvatures: the tip is then 0.1 to 0.8 mm off
+# With this step, dry friction that slips at small curvatures has a tip error of 0.1 to
+# 0.8 mm
 ABRUPT_STEP_S = 1e-3
 
 
@@ -25,7 +26,7 @@ class Hypothesis:
 
     @cached_property
     def model(self) -> Model:
-        """The base model with all causes active, in steps that are short enough."""
+        """The base model with all causes, with time steps short enough for them."""
         model = self.base.with_effects(*self.causes)
         if not any(acts_abruptly(cause) for cause in self.causes):
             return model
@@ -34,7 +35,7 @@ class Hypothesis:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters (P,) of the model, all of which are fitted."""
+        """The fitted parameters: all P of the model."""
         return self.model.parameters
 
     @property
@@ -56,7 +57,7 @@ class Hypothesis:
         cause: type[Effect],
         parameters: Sequence[Parameter],
     ) -> list[int]:
-        """Find the indices of some parameters of a cause among all parameters."""
+        """Find the indices of a cause's parameters among all parameters."""
         names = self.model.names
         return [names.index(cause.qualified_name(p)) for p in parameters]
 
@@ -70,7 +71,7 @@ class Hypothesis:
         return [self.model.names.index(name) for name in self.base.names]
 
     def exponents_from(self, known: Mapping[str, float]) -> np.ndarray:
-        """Collect exponents (P,) known by name; others are where a cause is absent."""
+        """Collect exponents (P,) by name; unknown ones are those of an absent cause."""
         absent = self.model.exponents_of_values({})
         pairs = zip(self.model.names, absent, strict=True)
         return np.array([known.get(name, start) for name, start in pairs])

@@ -4,15 +4,16 @@
                 + ln p(theta | h)                 log prior of the causes' amplitudes
                 + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
-y_k are the coefficients of trial k, with the onset and scale of its discrepancy
-integrated out (`discrepancy`); H is the curvature at the best theta. The prior of an
-amplitude of a cause is one of its tip shift: the root mean square, over all frames of
-all trials, of how far it moves the tip [m]. It is half-normal of several widths. So
-causes of any unit are equally likely, and one that moves nothing is no worse than none.
+y_k are the coefficients of trial k; the onset and scale of its discrepancy are
+integrated out (`discrepancy`). H is the curvature at the best theta.
 
-All other exponents are uniform in [0, 1]. In H, and for those of the base model in the
-fit, a normal of the same variance stands for that: it gives a finite volume to what the
-data do not determine.
+The prior of a cause's amplitude is a prior of its tip shift [m]: the root mean square,
+over all frames of all trials, of the tip displacement that it causes. It is a mixture
+of half-normals. So units do not matter, and a cause that moves nothing has no penalty.
+
+All other exponents have uniform priors in [0, 1]. In H, and for the base model also in
+the fit, a normal of the same variance replaces them: it gives a finite volume to
+parameters that the data do not determine.
 
 References
 ----------
@@ -42,40 +43,40 @@ from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import Parameter
 
-# Widths of the prior of how far a cause moves the tip [m], each as likely
+# Widths of the half-normals, of equal weight
 TIP_SHIFT_WIDTHS_M = np.array([1e-3, 3e-3, 1e-2, 3e-2])
-SCREENING_ITERATIONS = 2  # iterations of several starts, before the best alone goes on
-DISCREPANCY_DRAWS = 400  # of a discrepancy: a probability is known to 0.025
-ABSENCE_TOLERANCE = 1e-9  # of a range: an amplitude so near to its start is absent
-AMPLITUDE_PRECISION = 1e-9  # none, but keeps the curvature positive
+SCREENING_ITERATIONS = 2  # of all starts, before only the best goes on
+DISCREPANCY_DRAWS = 400  # gives probabilities within 0.025
+ABSENCE_TOLERANCE = 1e-9  # of a range: with an amplitude so small a cause is absent
+AMPLITUDE_PRECISION = 1e-9  # negligible, but keeps the curvature positive definite
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A hypothesis at its best.
+    """A hypothesis at its optimum.
 
     Parameters
     ----------
     hypothesis
-        That was fitted.
+        The fitted hypothesis.
     chi
         Exponents, (P,).
     residuals
-        Of each trial, over sigma, (2 n,).
+        Residuals of each trial over sigma, (2 n,).
     slopes
-        Of the residuals with chi, (P, 2 n) of each trial.
+        Derivatives of each trial's residuals by chi, (P, 2 n).
     width
-        Of chi, over which these were differenced, (P,).
+        Widths of chi of their finite differences, (P,).
     grid_points
         The most probable onset and scale of each trial's discrepancy, (K,): indices of
         the grid (`discrepancy_grid`).
     log_likelihood_by_trial
-        Log-likelihood of each trial, whatever these are, (K,).
+        Log-likelihood of each trial, integrated over onset and scale, (K,).
     log_evidence
         Ln p(y | h).
     log_evidence_error
-        By how much it may be wrong because the fit has not converged: the gain of the
-        log-likelihood that one more Gauss-Newton step promises (half the square of the
+        Error of the log evidence because the fit has not converged: the gain in
+        log-likelihood that the next Gauss-Newton step predicts (half the square of the
         Newton decrement: Boyd and Vandenberghe 2004, Convex Optimization, 9.5.1).
     """
 
@@ -106,7 +107,7 @@ class Fit:
 
     @property
     def has_diverged(self) -> bool:
-        """Whether a trial could not be simulated."""
+        """Whether the simulation of a trial diverged."""
         return any((residual == DIVERGED_RESIDUAL).any() for residual in self.residuals)
 
 
@@ -117,16 +118,16 @@ def fit_hypothesis(
     grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
-    """Fit a hypothesis: its parameters and where discrepancies are on their grid.
+    """Fit the parameters of a hypothesis, and each discrepancy's onset and scale.
 
     Parameters
     ----------
     starts
         Exponents, (C, P).
     grid_points
-        The onset and scale of each discrepancy to start with, (K,).
+        Initial onset and scale of each discrepancy, (K,).
     min_gain
-        A step that gains less of the log-likelihood ends its turn.
+        A step that gains less log-likelihood is slow (`solver`).
     """
     chi, width = best_exponents(data, hypothesis, starts, grid_points, min_gain)
     return evaluate_fit(data, hypothesis, chi, width)
@@ -140,7 +141,7 @@ def best_exponents(
     grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the exponents of a fit (P,), and over which widths (P,) to difference them.
+    """Find the best exponents (P,) and their difference widths (P,).
 
     Parameters as of `fit_hypothesis`.
     """
@@ -148,7 +149,7 @@ def best_exponents(
     model = hypothesis.model
     uniform = hypothesis.base_indices
 
-    # Several starts side by side; the best of them goes on
+    # Screen the starts
     likelihood = Likelihood(data, model, grid_points, uniform_indices=uniform)
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
@@ -158,7 +159,7 @@ def best_exponents(
     run = runs.select(best)
     updated = most_likely_grid_point(by_grid_point[:, best])
 
-    # The grid points and one step of the parameters in turn
+    # Alternate between grid points and one step of the parameters
     for _ in range(solver.MAX_ITERATIONS):
         if (updated != likelihood.grid_points).any():
             likelihood = replace(likelihood, grid_points=updated)
@@ -190,7 +191,7 @@ def evaluate_fit(
 ) -> Fit:
     """Evaluate a hypothesis and its log evidence at exponents (P,).
 
-    width: over which to difference them, (P,), where it is known from a fit.
+    width: difference widths (P,) where a fit has chosen them.
     """
     data = data.for_hypothesis(hypothesis)
     rows = data.residuals(hypothesis.model, chi[None])
@@ -201,14 +202,14 @@ def evaluate_fit(
     grid_points = most_likely_grid_point(by_grid_point)
     by_trial = marginal_log_likelihood(by_grid_point)
 
-    # Slopes, and residuals with each of the A amplitudes absent in turn
+    # Slopes, and residuals without each of the A amplitudes
     amplitudes: list[int] = []
     for cause in hypothesis.causes:
         amplitudes += hypothesis.amplitude_indices(cause)
     absent = hypothesis.exponents_from({})
     is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
     without_one = np.where(is_absent, absent, chi)
-    if width is None:  # the first differences say how wide the second should be
+    if width is None:  # trial differences give the scale of the slopes
         width = np.full(len(chi), solver.FIRST_DIFFERENCE)
         slopes, _ = _residual_slopes(
             data, hypothesis, chi, width, residuals, without_one
@@ -238,7 +239,7 @@ def evaluate_fit(
     curvature = white_slopes @ white_slopes.T + np.diag(precision)
     volume = log_volume(curvature)
 
-    # What one more step promises
+    # Predicted gain of one more step
     white_residual = data.whiten([row[:1] for row in rows], grid_points)[0]
     gradient = white_slopes @ white_residual
     base = hypothesis.base_indices
@@ -270,11 +271,11 @@ def log_prior(
     Parameters
     ----------
     distance
-        Of the exponent from where the cause is absent.
+        Distance of the exponent from that without the cause.
     tip_shift
-        Of the cause [m].
+        Tip shift by the cause [m].
     tip_slope
-        Slope of the tip shift with the exponent, where the cause is absent [m].
+        Tip shift per exponent at small amplitudes [m].
     """
     if distance > ABSENCE_TOLERANCE:
         tip_slope = tip_shift / distance
@@ -287,7 +288,7 @@ def log_prior(
 def tip_shift_density(tip_shift: np.ndarray, amplitude: Parameter) -> np.ndarray:
     """Compute the prior density [1/m] of tip shifts (...) [m] by an amplitude.
 
-    Of an amplitude that can have either sign it is half to either side.
+    For an amplitude of either sign, each sign has half of it.
     """
     is_two_sided = amplitude.low < amplitude.start < amplitude.high
     normal = np.exp(-0.5 * (tip_shift[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
@@ -296,7 +297,7 @@ def tip_shift_density(tip_shift: np.ndarray, amplitude: Parameter) -> np.ndarray
 
 
 def log_volume(curvature: np.ndarray) -> float:
-    """Compute the log volume of a normal posterior of this curvature (P, P)."""
+    """Compute the log volume of a normal posterior from its curvature (P, P)."""
     log_determinant = np.linalg.slogdet(curvature)[1]
     return float(0.5 * (len(curvature) * np.log(2 * np.pi) - log_determinant))
 
@@ -316,7 +317,7 @@ def sample_discrepancy_tip_rms(
     fit: Fit,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Draw discrepancies given the data, and compute their size at each tip.
+    """Draw discrepancies from their posterior and compute their tip displacement.
 
     Returns root mean squares [m], (K, DISCREPANCY_DRAWS).
     """
@@ -343,10 +344,10 @@ def _residual_slopes(
     residuals: ByTrial,
     further_chi: np.ndarray,
 ) -> tuple[ByTrial, ByTrial]:
-    """Difference each trial's residuals (2 n,) by the exponents (P,) over a width (P,).
+    """Compute slopes of each trial's residuals (2 n,) over widths (P,) of exponents.
 
-    Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P): more
-    lanes of a batch cost little.
+    Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P), which
+    cost little in the same batch.
     """
     count = len(chi)
     offset = np.where(chi > 0.5, -width, width)

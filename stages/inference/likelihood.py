@@ -1,11 +1,11 @@
-"""The likelihood of candidates as the solver's least squares.
+"""The likelihood of candidates as a least-squares problem for the solver.
 
     residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
-for trial k, whose error model gives V_k: independent noise of some scale, or a smooth
-discrepancy of a fixed onset and scale (`discrepancy`), and displacements U_k a with
-unknown a ~ N(0, 1), such as by another initial state. Integrated over a, these are
-noise of covariance V_k. What U_k could explain counts for less.
+The error model of trial k gives the covariance V_k. It has independent noise, or a
+smooth discrepancy of fixed onset and scale (`discrepancy`), and displacements U_k a,
+such as those by another initial state. The amplitudes a ~ N(0, 1) are integrated out,
+so that residuals in the span of U_k have less weight.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
-BLOCK_S = 0.05  # [s] of time taken as one independent piece
-# of the string's length: hands and strings that move less are still
+BLOCK_S = 0.05  # residuals in different blocks are taken as independent
+# of the string's length: hands and strings that move less are at rest
 MOTION_SHARE = 0.01
-PRIOR_PRECISION = 12.0  # one over the variance of a chi that may lie anywhere in [0, 1]
+PRIOR_PRECISION = 12.0  # one over the variance of a chi that is uniform in [0, 1]
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,16 @@ class Likelihood:
     data
         The trials with their error models.
     model
-        That is fitted to them.
+        The model that is fitted to them.
     grid_points
         The onset and scale of each trial's discrepancy, (K,), as indices of the grid.
-        None where no trial has a discrepancy: independent errors have a single scale.
+        None if no trial has a discrepancy.
     limit
-        Standard deviations beyond which a residual counts less (Huber), or infinite.
+        Huber's limit in standard deviations, above which a residual has less weight, or
+        infinite.
     uniform_indices
-        Indices of parameters that may lie anywhere in their range. Each has a normal
-        prior of a uniform one's variance, which keeps it in the middle if the trials do
-        not determine it.
+        Indices of parameters with a uniform prior. A normal of the same variance
+        replaces it, which keeps undetermined parameters in the middle of their range.
     """
 
     data: TrialData
@@ -72,8 +72,7 @@ class Likelihood:
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals of candidates (C, P), (C, N).
 
-        Those of the prior come last. In a trial that diverged they are
-        DIVERGED_RESIDUAL.
+        Those of the prior come last. Those of a diverged trial are DIVERGED_RESIDUAL.
         """
         from_middle = chi[:, list(self.uniform_indices)] - 0.5
         prior = np.sqrt(PRIOR_PRECISION) * from_middle
@@ -93,7 +92,7 @@ class Likelihood:
         return white
 
     def cut_after_onset(self, seconds: float) -> Likelihood:
-        """Cut each trial this long after its hand moved, or after it began moving."""
+        """Cut each trial at a time after its motion onset."""
         trials = []
         for trial in self.data.trials:
             second_frame = trial.times[:2][-1]
@@ -102,17 +101,17 @@ class Likelihood:
         return self.with_trials(trials)
 
     def with_trials(self, trials: Sequence[PreparedTrial]) -> Likelihood:
-        """Replace the trials by the same ones prepared otherwise."""
+        """Replace the trials."""
         return replace(self, data=replace(self.data, trials=tuple(trials)))
 
     def with_model(self, model: Model) -> Likelihood:
-        """Replace the model, also that of the trials."""
+        """Replace the model, also in the trials."""
         trials = with_model(self.data.trials, model)
         return replace(self.with_trials(trials), model=model)
 
 
 def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
-    """Find the block of time of each residual, (N,), counted through all trials."""
+    """Find the index of each residual's block of time, (N,), unique over all trials."""
     blocks = []
     first = 0
     for trial in trials:
@@ -124,13 +123,13 @@ def time_blocks(trials: Sequence[PreparedTrial]) -> np.ndarray:
 
 
 def _motion_onset(trial: PreparedTrial) -> float:
-    """Find when a trial's string begins to move, with its hand or before [s]."""
+    """Find when the string begins to move: with its hand, or at the first frame [s]."""
     if trial.initial_state is not None:
         return float(trial.times[0])
     hand = trial.motion.actual_hand_motion(trial.model.arm, ())
     length = trial.model.string.length
     pose = hand.pose[0]
-    metres_per_unit = [1.0, 1.0, length]  # an angle moves the far end of the string
+    metres_per_unit = [1.0, 1.0, length]  # an angle moves the tip of the string
     moved_m = np.abs((pose - pose[0]) * metres_per_unit)
     onset = np.argmax(moved_m.max(axis=1) > MOTION_SHARE * length)
     return hand.start + hand.tick * float(onset)

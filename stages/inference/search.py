@@ -1,12 +1,12 @@
-"""The most likely parameters from nothing: many starts and a widening horizon.
+"""The most likely parameters from many starts, over a growing horizon.
 
-A swung string forgets where it came from, so that a whole trial has many local minima.
-Its beginning is fitted first, then more of it, while the better half of the starts goes
-on; starts that have come to the same place go on as one. Meanwhile the mesh is refined:
-the whole trial is fitted with the string as given, shorter horizons with coarser ones.
-What another initial state could explain counts for little, so that no start is lost by
-that. In the end initial states, noise and parameters are refined in turn, and outliers
-count less.
+The motion of a swung string is sensitive to its parameters, so that the misfit of a
+whole trial has many local minima. The first part of a trial is fitted first, then more
+and more of it. After each horizon the better half of the starts goes on; starts that
+have reached the same minimum are merged. Short horizons use coarse meshes, the whole
+trial the given one. Errors that another initial state could explain have little weight,
+so that they do not eliminate a start. Finally initial states, noise and parameters are
+refined in turn, with a robust loss.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from stringcast.stages.model.parameter import parameter_values
 
 # The first horizon in sqrt(L/g): a quarter of the period of a limp hanging string
 FIRST_HORIZON = np.pi / 2.405
-# measured for each parameter in the first horizon, as in any regression
+# coordinates measured per parameter in the first horizon, usual in regression
 MIN_NUMBERS_PER_PARAMETER = 10
-HORIZON_GROWTH = 1.75  # of the horizon, from one to the next
+HORIZON_GROWTH = 1.75  # ratio of successive horizons
 WHOLE_TRIAL_SHARE = 0.8  # of the longest trial: a longer horizon is the whole trial
-MIN_FINALISTS = 8  # starts that go on, if they have come to different places
-# A start that is behind the best by more than so many times what its slopes promise is
-# given up. In ten drawn trials a start that was behind by twice its promise still
-# became the best, and one by 25 times did not.
+MIN_FINALISTS = 8  # starts that go on, if they have reached different minima
+# Of the gain that its slopes predict: a start further behind the best is dropped. In
+# ten drawn trials a start behind by twice its predicted gain still became the best, and
+# one behind by 25 times did not.
 MAX_PROMISES_BEHIND = 10.0
-# of the log-likelihood: such gains still add up along a valley
+# in log-likelihood: such gains still add up along a valley
 REFINEMENT_MIN_GAIN = 0.005
-MAX_REFINEMENT_ROUNDS = 10  # of refinement at most; it mostly takes three
-# of the noise, geometric mean over trials: a smaller gain ends refinement
+MAX_REFINEMENT_ROUNDS = 10  # usually three are enough
+# of the noise, geometric mean over trials: a smaller reduction ends the refinement
 MIN_LOG_NOISE_GAIN = 0.01
-MIN_SCALE = 1e-9  # of the noise: exact data have a residual, too
-MIN_SPAN_S = 1e-9  # of a trial of a single frame
+MIN_SCALE = 1e-9  # of the noise: keeps it positive where data are exact
+MIN_SPAN_S = 1e-9  # for trials with a single frame
 
 
 def screen_candidates(
@@ -58,7 +58,7 @@ def screen_candidates(
     chi: np.ndarray,
     count: int,
 ) -> np.ndarray:
-    """Choose the best candidates (C, P) at the first horizon, best first."""
+    """Choose the `count` best candidates (C, P) at the first horizon, best first."""
     horizons_s = horizons(likelihood)
     coarsest = _mesh_of_each_horizon(likelihood, len(horizons_s))[0]
     early = coarsest.cut_after_onset(horizons_s[0])
@@ -73,7 +73,7 @@ def _mean_square(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
 
 
 def horizons(likelihood: Likelihood) -> list[float]:
-    """List the horizons [s] that are fitted in turn, the last of them infinite."""
+    """List the horizons [s], shortest first; the last is infinite."""
     longest = 0.0
     rate = 0.0  # of measured numbers in all trials [1/s]
     for trial in likelihood.data.trials:
@@ -106,12 +106,12 @@ def search_parameters(
     starts
         Exponents (R, P), the best first.
     max_iterations
-        Iterations of each start before the last horizon, over all horizons.
+        Iterations of each start, summed over all horizons but the last.
     known
-        Exponents (P,) of earlier trials, a further start with the whole trials: the
-        beginning of a trial would lead it astray.
+        Exponents (P,) from earlier trials: a further start, only for the whole trials,
+        because short horizons would move it away.
     last_iterations
-        Iterations in the last horizon at most.
+        Largest number of iterations in the last horizon.
     """
     chi = starts
     horizons_s = horizons(likelihood)
@@ -143,10 +143,7 @@ def _fit_until_horizon(
 def _fit_whole_trials(
     likelihood: Likelihood, starts: np.ndarray, iterations: int
 ) -> np.ndarray:
-    """Fit whole trials; return the best exponents (P,).
-
-    Only the best of the starts (R, P) is wanted: those far behind it are given up.
-    """
+    """Fit whole trials from starts (R, P); return the best exponents (P,)."""
     with_noise = with_estimated_noise(likelihood, starts[0])
     runs = fit_least_squares(
         with_noise, starts, iterations, max_promises_behind=MAX_PROMISES_BEHIND
@@ -162,9 +159,9 @@ def _mesh_of_each_horizon(likelihood: Likelihood, count: int) -> list[Likelihood
 
 
 def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
-    """Choose the better half of the runs that have come to different places.
+    """Choose the better half of the runs, without those in the same place.
 
-    residual: (R, N). loss: (R,). Returns their numbers, best first.
+    residual: (R, N). loss: (R,). Returns indices, best first.
     """
     count = max(len(loss) // 2, MIN_FINALISTS)
     better = np.argsort(loss, kind="stable")[:count]
@@ -179,10 +176,10 @@ def refine_solution(
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine parameters (P,), noise and initial states in turn.
 
-    max_iterations: of the parameters in each turn.
+    max_iterations: for the parameters, in each round.
 
-    Returns the likelihood with noise and initial states at its maximum, and the
-    exponents there.
+    Returns the likelihood with the refined noise and initial states, and the exponents
+    of its maximum.
     """
     likelihood = with_refined_initial_states(likelihood, chi, INITIAL_SPAN_S)
     for number in range(MAX_REFINEMENT_ROUNDS):
@@ -203,10 +200,7 @@ def refine_solution(
 def refine_exponents(
     likelihood: Likelihood, chi: np.ndarray, max_iterations: int
 ) -> np.ndarray:
-    """Refine exponents (P,) at given noise and initial states.
-
-    max_iterations: at most.
-    """
+    """Refine exponents (P,) at given noise and initial states."""
     runs = fit_least_squares(likelihood, chi[None], max_iterations, REFINEMENT_MIN_GAIN)
     return np.asarray(runs.chi[0])
 
@@ -216,9 +210,9 @@ def with_refined_initial_states(
     chi: np.ndarray,
     span: float = np.inf,
 ) -> Likelihood:
-    """Refine initial states and noise at parameters (P,); outliers then count less.
+    """Refine initial states and noise at parameters (P,), and use a robust loss.
 
-    span: of each trial's beginning that the states are fitted to [s].
+    span: time from the start of each trial to which its state is fitted [s].
     """
     values = parameter_values(likelihood.parameters, chi)
     trials = []
@@ -229,10 +223,10 @@ def with_refined_initial_states(
 
 
 def with_estimated_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
-    """Estimate each trial's noise from its residual at parameters (P,).
+    """Estimate each trial's noise scale from its residual at parameters (P,).
 
-    What other initial states could explain then counts for little. Each trial has its
-    own scale: a model misfits some trials more than others.
+    Scales differ because a model misfits some trials more than others. The new error
+    models give little weight to errors that another initial state could explain.
     """
     trials = [replace(t, error_model=UNIT_ERRORS) for t in likelihood.data.trials]
     plain = likelihood.with_trials(trials)

@@ -1,18 +1,19 @@
-"""Damped least squares of many runs side by side, within bounds.
+"""Levenberg-Marquardt least squares of many runs in parallel, within bounds.
 
-An iteration is two or three batches: the forward differences of every run, its least
-damped steps, and the others where those gain less than the differences promise. Few
-steps are tried in one batch, if that takes no longer. A run to which they promise next
-to nothing ends, or one that twice gains little. One slow step may be a bend of the
-valley, or one damped too little for it.
-Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters that can take each
-other's place leave a valley: bent in exponents, along which steps are short, and
-straight in values. So each step is tried along both lines: of 48 random starts in the
-six hardest of 32 sets, 12 reached the best minimum by steps in exponents alone, 38 by
-both.
+An iteration simulates two or three batches: the forward differences of every run, its
+least damped steps, and its other steps where those gain less than the slopes predict.
+If it takes no longer, all steps are one batch. A run stops when its slopes predict a
+negligible gain, or after two slow steps in a row. A single slow step does not stop it:
+the valley may bend there, or the damping may be too low.
 
-The noise need not be known: a gain is one of the log-likelihood at the best scale of
-the noise, N/2 log(loss). This only decides when a run ends.
+Parameters are exponents chi in [0, 1] (Eq. 3). Two parameters with similar effects make
+the minimum a valley. It is curved in exponents, where steps are therefore short, and
+straight in values. So each step is tried along a line in exponents and along one in
+values: of 48 random starts in the six hardest of 32 sets, 38 reached the best minimum
+with both lines, 12 with exponents alone.
+
+The noise level need not be known: gains are measured as N/2 log(loss), the
+log-likelihood at the best noise level. They only decide when a run stops.
 
 References
 ----------
@@ -35,40 +36,40 @@ from stringcast.stages.model.parameter import (
     parameter_values,
 )
 
-# standard deviations: each residual of what cannot be simulated
+# standard deviations: residuals of a simulation that diverged
 DIVERGED_RESIDUAL = 1e3
-MIN_GAIN = 0.05  # of the log-likelihood: a step that gains less is slow
-NEGLIGIBLE_SHARE = 0.01  # of that: where slopes promise less, no step is tried
-# Of what slopes promise: where a step gains as much, none of more damping is tried
+MIN_GAIN = 0.05  # in log-likelihood: a step that gains less is slow
+NEGLIGIBLE_SHARE = 0.01  # of MIN_GAIN: no step is tried for a smaller predicted gain
+# Of the predicted gain: after a step that gains as much, no more damping is tried
 SUFFICIENT_SHARE = 0.8
-MAX_ITERATIONS = 60  # at most; it mostly takes fewer than ten
+MAX_ITERATIONS = 60  # most runs take fewer than ten
 
-# Widths of differences of chi. One that moves the points by a tenth of the residual
-# keeps the error, half the width times the curvature, far below it. Rounding, 1e-13 of
-# the points, is 1e-6 of a difference over the narrowest; over the widest any string is
-# curved.
+# Widths of finite differences of chi. A width that moves the points by a tenth of the
+# residual keeps the truncation error (half the width times the curvature) far below the
+# residual. Rounding, 1e-13 of the points, is 1e-6 of the narrowest difference. Over the
+# widest, any string responds nonlinearly.
 DIFFERENCE_SHARE = 0.1  # of the residual's root mean square
 FIRST_DIFFERENCE = 1e-4
 MIN_DIFFERENCE = 1e-6
 MAX_DIFFERENCE = 1e-3
 
-# Marquardt's damping, a share of the diagonal. Four are tried: with two, 0.05 and 3, a
-# search for a stiff strip crept along its valley and ended 3,600 of the log-likelihood
-# short.
-INITIAL_DAMPING = 1e-2  # at first
-DAMPING_FACTORS = (1e-3, 0.1, 1.0, 10.0)  # times the last that was right
-DAMPING_INCREASE = 1e3  # times as much where none was right
-MIN_DAMPING = 1e-8  # below which it has no effect
-MAX_DAMPING = 1e4  # above which no step is worth one
-# of the mean curvature, added to all: a direction without any stays put
+# Marquardt's damping, relative to the diagonal. Four factors are tried: with two, 0.05
+# and 3, the search for a stiff strip crept along its valley and ended 3,600 below the
+# best log-likelihood.
+INITIAL_DAMPING = 1e-2
+DAMPING_FACTORS = (1e-3, 0.1, 1.0, 10.0)  # times the damping of the last good step
+DAMPING_INCREASE = 1e3  # factor where no step was good
+MIN_DAMPING = 1e-8  # less has no effect
+MAX_DAMPING = 1e4  # with more, steps are too short to gain anything
+# of the mean curvature, added everywhere so that directions without any do not move
 FLAT_CURVATURE_SHARE = 1e-9
 
-MAX_EXPONENT_STEP = 0.3  # of chi: the longest step straight in exponents
-MAX_VALUE_STEP = 0.5  # of chi: the longest step straight in values
+MAX_EXPONENT_STEP = 0.3  # in chi, for steps along a line in exponents
+MAX_VALUE_STEP = 0.5  # in chi, for steps along a line in values
 LEAST_LOSS_RATIO = 1e-300  # of the loss after a step to that before
 SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
-# Of the residual, root mean square: runs that differ by less are in the same place
+# Of the residual's root mean square: runs that differ by less are in the same place
 SAME_PLACE_TOLERANCE = 0.1
 
 
@@ -81,7 +82,7 @@ class Problem(Protocol):
 
     @property
     def limit(self) -> float:
-        """The size from which a residual counts less (Huber), or infinite."""
+        """Huber's limit, above which a residual has less weight, or infinite."""
 
     @property
     def candidates_at_once(self) -> int:
@@ -90,7 +91,7 @@ class Problem(Protocol):
     def residuals(self, chi: np.ndarray) -> np.ndarray:
         """Compute white residuals (C, N) of candidates (C, P).
 
-        They are DIVERGED_RESIDUAL where a run diverged.
+        They are DIVERGED_RESIDUAL where a simulation diverged.
         """
 
 
@@ -103,27 +104,27 @@ class SolverRuns:
     chi
         Exponents, (R, P).
     held
-        Exponents that stay as they are, (R, P).
+        Whether an exponent is kept fixed, (R, P).
     residual
         White residuals, (R, N).
     loss
-        Of the residuals, as of `huber_loss`, (R,).
+        Huber loss of the residuals, (R,).
     width
-        Of chi, over which the next differences are taken, (R, P).
+        Widths of chi for the next differences, (R, P).
     damping
-        That was right last, (R,).
+        Damping of the last good step, (R,).
     stale
-        Runs whose curvature and gradient are those of earlier exponents, (R,).
+        Whether curvature and gradient belong to earlier exponents, (R,).
     is_slow
-        Runs whose last step gained little, (R,).
+        Whether the last step gained little, (R,).
     is_narrow
-        Runs whose differences were narrowed, as no step gained anything, (R,).
+        Whether differences were narrowed because no step gained anything, (R,).
     active
-        Runs that may still gain, (R,).
+        Whether the run goes on, (R,).
     normal, gradient
         Curvature (R, P, P) and gradient (R, P) of half the loss.
     promise
-        Share of the loss that the best step removes if slopes do not change, (R,).
+        Share of the loss that the best step removes if slopes are constant, (R,).
     """
 
     chi: np.ndarray
@@ -144,7 +145,7 @@ class SolverRuns:
     def start(
         cls, problem: Problem, chi: np.ndarray, held: np.ndarray | None = None
     ) -> SolverRuns:
-        """Place the runs at their starts (R, P); by default none is held."""
+        """Start runs at exponents (R, P); by default none is fixed."""
         count, size = chi.shape
         residual = problem.residuals(chi)
         return cls(
@@ -165,24 +166,24 @@ class SolverRuns:
 
     @property
     def promised_gains(self) -> np.ndarray:
-        """Gains of the log-likelihood that the best steps promise, (R,)."""
+        """Gains in log-likelihood that the slopes predict for the best steps, (R,)."""
         return np.asarray(0.5 * self.residual.shape[1] * self.promise)
 
     @property
     def log_likelihood_behind(self) -> np.ndarray:
-        """Log-likelihood that each run is behind the best one, (R,)."""
+        """Log-likelihood of the best run minus that of each, (R,)."""
         loss = np.maximum(self.loss, SMALLEST_FLOAT)
         return np.asarray(0.5 * self.residual.shape[1] * np.log(loss / loss.min()))
 
     def select(self, run: int) -> SolverRuns:
         """Select one of the runs."""
         values = {}
-        for each in fields(self):
-            values[each.name] = getattr(self, each.name)[run : run + 1].copy()
+        for item in fields(self):
+            values[item.name] = getattr(self, item.name)[run : run + 1].copy()
         return SolverRuns(**values)
 
     def reweight(self, problem: Problem) -> None:
-        """Go on with the same residuals weighted otherwise."""
+        """Continue all runs with the problem's present weights."""
         self.residual = problem.residuals(self.chi)
         self.loss = huber_loss(self.residual, problem.limit)
         self.damping = np.minimum(self.damping, INITIAL_DAMPING)
@@ -200,21 +201,19 @@ def fit_least_squares(
     max_promises_behind: float = np.inf,
     held: np.ndarray | None = None,
 ) -> SolverRuns:
-    """Minimise the loss from several starts side by side.
+    """Minimise the loss from several starts in parallel.
 
     Parameters
     ----------
     starts
         Exponents, (R, P).
-    max_iterations
-        Iterations at most.
     min_gain
-        A step that gains less of the log-likelihood is slow.
+        A step that gains less log-likelihood is slow.
     max_promises_behind
-        A run that is behind the best by more than so many times what its slopes promise
-        is given up.
+        A run stops if it is further behind the best than this multiple of the gain that
+        its slopes predict.
     held
-        Exponents that stay where they start, (R, P).
+        Whether an exponent is kept fixed, (R, P).
     """
     runs = SolverRuns.start(problem, starts, held)
     for _ in range(max_iterations):
@@ -228,7 +227,7 @@ def fit_least_squares(
 
 
 def distinct_starts(problem: Problem, starts: np.ndarray) -> np.ndarray:
-    """Leave out starts (R, P) in the same place as a better one."""
+    """Drop starts (R, P) that simulate as a better one does."""
     if len(starts) < 2:
         return starts
     residual = problem.residuals(starts)
@@ -236,9 +235,9 @@ def distinct_starts(problem: Problem, starts: np.ndarray) -> np.ndarray:
 
 
 def different_places(residual: np.ndarray, loss: np.ndarray) -> list[int]:
-    """Choose the best run in each place by its number, the best of all first.
+    """Find the indices of the best run in each place, the best of all first.
 
-    residual: of the runs, (R, N). loss: (R,).
+    Runs are in the same place if their residuals (R, N) hardly differ. loss: (R,).
     """
     chosen: list[int] = []
     for run in np.argsort(loss, kind="stable"):
@@ -250,7 +249,7 @@ def different_places(residual: np.ndarray, loss: np.ndarray) -> list[int]:
 
 
 def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
-    """Linearise all active runs and move them. Parameters as of `fit_least_squares`."""
+    """Linearise all active runs and move them (min_gain: see `fit_least_squares`)."""
     active = np.flatnonzero(runs.active)
     _linearise_runs(problem, runs, active[runs.stale[active]])
     runs.active &= runs.promised_gains > NEGLIGIBLE_SHARE * min_gain
@@ -265,9 +264,10 @@ def forward_differences(
     residual: np.ndarray,
     width: np.ndarray,
 ) -> np.ndarray:
-    """Difference the residuals (R, N) at chi (R, P) over widths (R, P), (R, P, N).
+    """Compute forward differences of the residuals (R, N) at chi (R, P), (R, P, N).
 
-    Differences point away from the nearer bound. Those of diverged runs are zero.
+    Widths (R, P) point away from the nearer bound. Slopes of diverged simulations are
+    zero.
     """
     count, size = chi.shape
     offset = np.where(chi > 0.5, -width, width)
@@ -282,7 +282,7 @@ def forward_differences(
 def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
     """Choose widths (R, P) over which points move by a tenth of the residual.
 
-    slope: of white residuals, (R, P, N). loss: of each run, (R,).
+    slope: white residuals per chi, (R, P, N). loss: (R,).
     """
     slope_rms = np.sqrt(np.mean(slope**2, axis=-1))
     change = DIFFERENCE_SHARE * np.sqrt(loss)[:, None]
@@ -292,7 +292,7 @@ def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
 
 
 def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> None:
-    """Update curvature, gradient and width of the chosen runs where they are."""
+    """Update curvature, gradient and width of the chosen runs."""
     if not chosen.size:
         return
     residual = runs.residual[chosen]
@@ -304,7 +304,7 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
-    for run in chosen:  # of half the loss
+    for run in chosen:  # normal and gradient are those of half the loss
         free = ~runs.held[run]
         normal = runs.normal[run][np.ix_(free, free)]
         gain = promised_gain(normal, runs.gradient[run, free], runs.chi[run, free])
@@ -314,19 +314,16 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
 def promised_gain(
     curvature: np.ndarray, gradient: np.ndarray, chi: np.ndarray
 ) -> float:
-    """Compute by how much a quadratic falls to its minimum within [0, 1].
+    """Compute how far a quadratic falls from chi (P,) to its minimum in [0, 1].
 
-    Parameters
-    ----------
-    curvature, gradient
-        At exponents chi (P,), (P, P) and (P,).
+    curvature (P, P), gradient (P,): at chi.
     """
     step = minimise_in_box(with_flat_curvature(curvature), gradient, -chi, 1.0 - chi)
     return float(-(gradient @ step + 0.5 * step @ curvature @ step))
 
 
 def with_flat_curvature(curvature: np.ndarray) -> np.ndarray:
-    """Add so little curvature (P, P) that only a direction without any stays put."""
+    """Add a little curvature (P, P) so that directions without any do not move."""
     flat = FLAT_CURVATURE_SHARE * np.diag(curvature).mean() + SMALLEST_FLOAT
     return np.asarray(curvature + flat * np.eye(len(curvature)))
 
@@ -342,12 +339,11 @@ def _step_runs(
     residuals = np.zeros((*points.shape[:2], runs.residual.shape[1]))
     losses = np.full(points.shape[:2], np.inf)
 
-    # The steps of least damping first, and the others where these gain too little;
-    # all of them where that takes no longer
+    # First the least damped steps, then the others where these gain too little
     sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * runs.promise[active])
     is_least_damped = np.arange(points.shape[1]) % len(DAMPING_FACTORS) == 0
     batches = [is_least_damped, ~is_least_damped]
-    if losses.size <= problem.candidates_at_once:
+    if losses.size <= problem.candidates_at_once:  # all take no longer than one
         batches = [np.ones_like(is_least_damped)]
     for chosen in batches:
         unsettled = np.flatnonzero(losses.min(axis=1) > sufficient)
@@ -362,7 +358,7 @@ def _step_runs(
         best = int(np.argmin(losses[number]))
         lowest = losses[number, best]
         if lowest < runs.loss[run]:
-            # finite even if nothing is left
+            # keeps the gain finite if the loss is zero
             least = max(lowest, LEAST_LOSS_RATIO * runs.loss[run])
             gain = 0.5 * residuals.shape[-1] * np.log(runs.loss[run] / least)
             factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
@@ -382,7 +378,7 @@ def _step_runs(
         elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE
         else:
-            # No step gains anything: slopes over narrower differences may be right
+            # No step gains anything: narrower differences may give better slopes
             runs.active[run] = not runs.is_narrow[run]
             runs.is_narrow[run] = True
             runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
@@ -395,9 +391,9 @@ def _trial_points(
     runs: SolverRuns,
     run: int,
 ) -> np.ndarray:
-    """Compute trial steps of a run, straight in exponents, then straight in values.
+    """Compute exponents (2 len(DAMPING_FACTORS), P) after each trial step of a run.
 
-    Returns exponents (2 len(DAMPING_FACTORS), P).
+    Steps along a line in exponents come first, then those along a line in values.
     """
     chi = runs.chi[run]
     normal = runs.normal[run]
@@ -409,13 +405,13 @@ def _trial_points(
     low = np.maximum(chi - MAX_EXPONENT_STEP * free, 0.0) - chi
     high = np.minimum(chi + MAX_EXPONENT_STEP * free, 1.0) - chi
 
-    # A step in values is written as the step in exponents of the same slope
+    # Steps in values are in units of exponents: divided by the slope at chi
     value = parameter_values(parameters, chi)
     slope = np.maximum(parameter_slopes(parameters, chi), SMALLEST_FLOAT)
     reach = MAX_VALUE_STEP * free
     lowest = parameter_values(parameters, np.clip(chi - reach, 0.0, 1.0))
     highest = parameter_values(parameters, np.clip(chi + reach, 0.0, 1.0))
-    with np.errstate(over="ignore"):  # where a value hardly rises, no end is near
+    with np.errstate(over="ignore"):  # a small slope makes the bounds infinite
         low_in_values = (lowest - value) / slope
         high_in_values = (highest - value) / slope
 
@@ -436,10 +432,11 @@ def minimise_in_box(
     low: np.ndarray,
     high: np.ndarray,
 ) -> np.ndarray:
-    """Minimise a quadratic within bounds by an active set.
+    """Minimise a quadratic within bounds by the active-set method.
 
-    Steps go to the minimum of the free parameters or to the first bound, which then
-    holds. At the end a bound that the gradient points away from is released.
+    Each step goes to the minimum over the free parameters or to the first bound, which
+    then becomes active. At a minimum, the active bound with the steepest descent
+    inwards is released.
 
     Parameters
     ----------
@@ -459,13 +456,13 @@ def minimise_in_box(
     size = len(gradient)
     step = np.zeros(size)
     side = np.zeros(size)  # -1 at the lower bound, 1 at the upper, 0 where free
-    for _ in range(4 * size):  # mostly two; each bound may hold and be released twice
+    for _ in range(4 * size):  # usually two; a bound may be set and released twice
         free = side == 0
         descent = -gradient - normal @ step
         move = np.zeros(size)
         move[free] = np.linalg.solve(normal[np.ix_(free, free)], descent[free])
         room = np.where(move > 0, high - step, step - low)
-        # Only a bound within the move counts; other shares may be too large for a float
+        # Only bounds within the move: other shares could overflow
         distance = np.abs(move)
         share = np.full(size, np.inf)
         is_near = (distance > room) & (distance > 0)

@@ -1,4 +1,4 @@
-"""Trials that hypotheses are to explain together, and their residuals under a model."""
+"""Trials that are fitted together, and their residuals under a model."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def subtract_by_trial(residuals: ByTrial, others: ByTrial) -> ByTrial:
 
 @dataclass(frozen=True)
 class TrialData:
-    """Trials with their error models, and what hypotheses share about them.
+    """Trials with their error models, random effects and mesh correction.
 
     Parameters
     ----------
     trials
-        Each with its error model.
+        Trials with their error models.
     random_effects
-        By the name of a cause that differs from trial to trial, the shapes of each
-        trial's random effect, over sigma, (2 n, m). Their amplitudes are N(0, 1).
+        For causes that differ from trial to trial, by name: the shapes of each trial's
+        random effect over sigma, (2 n, m). Their amplitudes are N(0, 1).
     mesh_correction
-        The mesh correction that residuals have, or None.
+        A correction of all residuals, or None.
     """
 
     trials: tuple[PreparedTrial, ...]
@@ -47,7 +47,7 @@ class TrialData:
     def for_hypothesis(self, hypothesis: Hypothesis) -> TrialData:
         """Add the random effects of a hypothesis to the trials' error models.
 
-        The result has no further ones: a second call changes nothing. It is kept.
+        The result has no random effects left, so that a second call changes nothing.
         """
         causes = self.random_effects.keys()
         names = tuple(name for name in hypothesis.cause_names if name in causes)
@@ -65,21 +65,18 @@ class TrialData:
 
     @cached_property
     def _extended_data(self) -> dict[tuple[str, ...], TrialData]:
-        """Data with random effects, by the names of their causes."""
+        """A cache of data with random effects added, by the names of their causes."""
         return {}
 
     def between_trial_tip_rms(self, name: str) -> float:
-        """Compute how far the tip differs between trials because of a cause [m].
-
-        It is 0 where trials do not differ.
-        """
+        """Compute the tip displacement by a cause's random effect [m], or 0."""
         if name not in self.random_effects:
             return 0.0
         displacements = [shapes.T for shapes in self.random_effects[name]]
         return float(self.overall_tip_rms(displacements)[0])
 
     def without_random_effect(self, name: str) -> TrialData:
-        """Let all trials share one amplitude of a cause."""
+        """Remove a cause's random effect: all trials share one amplitude."""
         others = {n: s for n, s in self.random_effects.items() if n != name}
         return replace(self, random_effects=others)
 
@@ -105,11 +102,9 @@ class TrialData:
         return candidates_at_once(self.trials)
 
     def residuals(self, model: Model, chi: np.ndarray) -> ByTrial:
-        """Compute simulated less measured over sigma of each trial, (C, 2 n).
+        """Compute residuals over sigma of each trial at exponents (C, P), (C, 2 n).
 
-        A run that diverged is DIVERGED_RESIDUAL throughout.
-
-        chi: exponents, (C, P).
+        Those of a diverged simulation are DIVERGED_RESIDUAL.
         """
         values = parameter_values(model.parameters, chi)
         residuals = []
@@ -125,9 +120,9 @@ class TrialData:
         return residuals
 
     def whiten(self, residuals: ByTrial, grid_points: np.ndarray) -> np.ndarray:
-        """Whiten residuals (C, 2 n) of each trial and put them side by side, (C, N).
+        """Whiten residuals (C, 2 n) of each trial and concatenate them, (C, N).
 
-        grid_points: of each trial's discrepancy, (K,).
+        grid_points: onset and scale of each trial's discrepancy, (K,).
         """
         return np.concatenate(self.whiten_by_trial(residuals, grid_points), axis=1)
 
@@ -143,9 +138,9 @@ class TrialData:
         return white
 
     def log_likelihood_by_grid_point(self, residuals: ByTrial) -> np.ndarray:
-        """Compute the log-likelihood of residuals (C, 2 n) of each trial, (K, C, W S).
+        """Compute the log-likelihood at all W S points of the discrepancy grid.
 
-        It is that for all grid points of the trial's discrepancy.
+        residuals: (C, 2 n) of each trial. Returns (K, C, W S).
         """
         by_trial = []
         for trial, residual in zip(self.trials, residuals, strict=True):
@@ -160,7 +155,7 @@ class TrialData:
         residuals: ByTrial,
         grid_points: np.ndarray,
     ) -> ByTrial:
-        """Subtract what the nuisance most likely explains of residuals (2 n,)."""
+        """Subtract the most likely nuisance from each trial's residuals (2 n,)."""
         rest = []
         for k, trial in enumerate(self.trials):
             discrepancy = trial.discrepancy
@@ -172,7 +167,7 @@ class TrialData:
     def tip_rms_by_trial(self, displacements: ByTrial) -> np.ndarray:
         """Compute the root mean square at each trial's tip [m], (K, ...).
 
-        displacements: over sigma, (..., 2 n) of each trial.
+        displacements: (..., 2 n) of each trial, over sigma.
         """
         by_trial = []
         for trial, displacement in zip(self.trials, displacements, strict=True):
@@ -183,7 +178,7 @@ class TrialData:
     def overall_tip_rms(self, displacements: ByTrial) -> np.ndarray:
         """Compute the root mean square at the tip over all trials [m], (C,).
 
-        displacements: over sigma, (C, 2 n) of each trial.
+        displacements: (C, 2 n) of each trial, over sigma.
         """
         by_trial = self.tip_rms_by_trial(displacements)
         return np.asarray(np.sqrt(np.mean(by_trial**2, axis=0)))

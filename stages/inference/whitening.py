@@ -19,8 +19,7 @@ class LowRankWhitening:
     basis
         Q, (N, M).
     removed_share
-        The share of a residual along each direction of the basis that whitening
-        removes, (M,).
+        The share that whitening removes of a residual in each basis direction, (M,).
     """
 
     basis: np.ndarray
@@ -47,17 +46,17 @@ class IndependentErrors:
     Parameters
     ----------
     scale
-        The standard deviation of residuals, in the points' own sigma.
+        The standard deviation of residuals over sigma.
     nuisance
-        U over sigma, (2 n, M), or None: shapes whose amplitudes are N(0, 1), such as of
-        another initial state.
+        U over sigma, (2 n, M), or None: shapes whose amplitudes are N(0, 1), such as
+        those of another initial state.
     """
 
     scale: float = 1.0
     nuisance: np.ndarray | None = None
 
     def whiten(self, residual: np.ndarray, grid_point: int = 0) -> np.ndarray:
-        """Whiten residuals over sigma (C, 2 n), whose scale is known."""
+        """Whiten residuals over sigma (C, 2 n)."""
         scaled = residual / self.scale
         return scaled if self._low_rank is None else self._low_rank(scaled)
 
