@@ -264,7 +264,10 @@ def refit_from_string(clock: ClockFit, other: ClockFit, offset: float) -> ClockF
     """
     hypothesis = clock.fit.hypothesis
     parameter = hypothesis.model.parameters[clock.index]
-    exponents = {**other.fit.exponents, OFFSET: float(parameter.chi(offset))}
+    exponents = {
+        **other.fit.exponents,
+        OFFSET: float(parameter.chi(np.asarray(offset))),
+    }
     start = hypothesis.exponents_from(exponents)
     trials = [replace(trial, growth=np.zeros(0)) for trial in clock.data.trials]
     return _better_fit(clock, _fit_with_discrepancy(trials, hypothesis, start))
