@@ -1,4 +1,4 @@
-"""Common mistakes of geometry, made in the files of a bench on purpose."""
+"""Datasets with deliberate mistakes of geometry, units, times and files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UNIT_SIZES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
 
 @dataclass(frozen=True)
 class Bench:
-    """Files of a bench as a user has them, with what the user states.
+    """Recorded trials, the stated geometry, and how both are written to files.
 
     Attributes
     ----------
@@ -39,21 +39,21 @@ class Bench:
     points
         Times (F,) and positions (F, 2) [m] by name, of each trial.
     links, base, length
-        What is stated [m]; None: not stated.
+        Stated geometry [m]; None: not stated.
     angle_unit, length_unit
-        In which the files are.
+        Units of the files.
     angle_name, length_name
-        What names of columns state; empty if nothing.
+        Units in the column names; empty if none.
     options
-        Further options.
+        Further options of the command.
     fps
         Frame rate, if the tracker writes no times.
     clock
-        What is to be added to the times of points [s].
+        Hand time minus point time [s].
     edits
-        What is changed in the tables "robot" and "tracker", by the number of the trial.
+        Changes of the tables "robot" and "tracker"; they get table and trial number.
     csv
-        How tables are written, as options of pandas.
+        Options of `DataFrame.to_csv`.
     """
 
     hands: list[tuple[np.ndarray, np.ndarray]]
@@ -72,7 +72,7 @@ class Bench:
     csv: Mapping[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> list[str]:
-        """Write the files; return the words of the command."""
+        """Write the files; return the arguments of the command."""
         robots, trackers = [], []
         for number, (t, joints) in enumerate(self.hands, 1):
             unit = {"deg": 180 / np.pi, "rad": 1.0, "raw": 1.0}[self.angle_unit]
@@ -123,11 +123,11 @@ class Bench:
         return replace(self, points=trials)
 
     def with_tip_alone(self) -> Bench:
-        """Return the bench with the tip as its only point."""
+        """Keep only the tip."""
         return replace(self, points=[{"tip": points["tip"]} for points in self.points])
 
-    def with_rate(self, stated: float) -> Bench:
-        """Write no times of the points, and state a frame rate of 200 times a factor."""
+    def with_rate(self, factor: float) -> Bench:
+        """Omit the times of points; state the frame rate multiplied by a factor."""
         t = next(iter(self.points[0].values()))[0]
         rate = 1 / float(np.median(np.diff(t)))
         evened = []
@@ -137,10 +137,10 @@ class Bench:
                 even = np.arange(times[0], times[-1], 1 / rate)
                 new[name] = (even, interpolate_rows(even, times, xy))
             evened.append(new)
-        fps = round(rate) * stated
+        fps = round(rate) * factor
         if self.clock:
             return replace(self, points=evened, fps=fps)
-        # frames that are counted begin at 0, clocks that are together do not
+        # counted frames begin at 0, even where both files share a clock
         options = (*self.options, f"--clock={t[0]:g}")
         return replace(self, points=evened, fps=fps, options=options)
 
@@ -174,7 +174,7 @@ def simulated_bench(material: Mapping[str, float] = STRIP) -> Bench:
 
 
 def two_clocks_bench(folder: Path) -> Bench:
-    """Return the bench of a simulation that is not ours, with y up."""
+    """Read an independent simulation, and turn its y up."""
     hands, points = [], []
     for number in range(1, 5):
         robot = pd.read_csv(folder / f"robot_log_{number}.csv")
@@ -191,7 +191,7 @@ def two_clocks_bench(folder: Path) -> Bench:
 
 
 def sample_bench(folder: Path) -> Bench:
-    """Return the bench of the sample, with its tip and middle."""
+    """Read tip and middle of the sample dataset."""
     arm, points = (
         pd.read_parquet(folder / f"{name}.parquet") for name in ("arm", "points")
     )
@@ -214,7 +214,7 @@ def sample_bench(folder: Path) -> Bench:
 
 
 def encoder_counts(joints: np.ndarray) -> np.ndarray:
-    """Return counts of 4096 a turn that wrap, from the middle."""
+    """Return wrapping encoder counts, 4096 a turn, centred at 2048."""
     return np.floor(joints / (2 * np.pi) * 4096 + 2048) % 4096
 
 
@@ -224,34 +224,34 @@ def rotate(trials: list) -> list:
 
 
 def exchange_names(bench: Bench) -> Bench:
-    """Call the tip mid and the middle tip, and state their places."""
+    """Exchange the names tip and mid, and state their arc lengths."""
     points = [{"tip": p["mid"], "mid": p["tip"]} for p in bench.points]
     places = (f"--at=tip={bench.length:.6g}", f"--at=mid={bench.length / 2:.6g}")
     return replace(bench, points=points, options=places)
 
 
 def z_constant(bench: Bench) -> Bench:
-    """Take a plane in which the string does not move."""
+    """Write a coordinate in which the string does not move as y."""
     return bench.with_points(lambda xy: np.stack([xy[:, 0], 0.02 + 0 * xy[:, 1]], -1))
 
 
 def misorder(*order: int) -> Callable[[Bench], Bench]:
-    """Return the mistake of joints in another order."""
+    """Permute the joints."""
     return lambda bench: bench.with_joints(lambda joints: joints[:, list(order)])
 
 
 def matrix(*rows: tuple[float, float]) -> Callable[[Bench], Bench]:
-    """Return the mistake of positions multiplied by a matrix."""
+    """Multiply positions by a matrix."""
     return lambda bench: bench.with_points(lambda xy: xy @ np.array(rows, float).T)
 
 
 def in_unit(unit: str, name: str = "") -> Callable[[Bench], Bench]:
-    """Return the mistake of points in a unit, with another or none in their names."""
+    """Write points in a unit, with another unit or none in their names."""
     return lambda bench: replace(bench, length_unit=unit, length_name=name)
 
 
 def scaled(field_name: str, factor: float) -> Callable[[Bench], Bench]:
-    """Return the mistake of a stated length, or of several, in another unit."""
+    """Scale stated lengths."""
 
     def change(bench: Bench) -> Bench:
         value = getattr(bench, field_name)
@@ -263,7 +263,7 @@ def scaled(field_name: str, factor: float) -> Callable[[Bench], Bench]:
 
 
 def shifted(x: float, y: float) -> Callable[[Bench], Bench]:
-    """Return the mistake of an arm's base that is off [m]."""
+    """Shift the stated base [m]."""
 
     def change(bench: Bench) -> Bench:
         assert bench.base is not None
@@ -273,27 +273,27 @@ def shifted(x: float, y: float) -> Callable[[Bench], Bench]:
 
 
 def edited(name: str, edit: TableEdit) -> Callable[[Bench], Bench]:
-    """Return the mistake of the tables "robot" or "tracker" being changed."""
+    """Edit the tables "robot" or "tracker"."""
     return lambda bench: replace(bench, edits={name: edit})
 
 
 def without(name: str, *columns: str) -> Callable[[Bench], Bench]:
-    """Return the mistake of missing columns."""
+    """Drop columns."""
     return edited(name, lambda table, _: table.drop(columns=[*columns]))
 
 
 def written(**csv: Any) -> Callable[[Bench], Bench]:
-    """Return the mistake of tables that are written in another way."""
+    """Write tables with options of `DataFrame.to_csv`."""
     return lambda bench: replace(bench, csv=csv)
 
 
 def first_alone(change: Callable[[pd.DataFrame], pd.DataFrame]) -> TableEdit:
-    """Return the change of the first trial's table."""
+    """Change the table of the first trial only."""
     return lambda table, number: change(table) if number == 1 else table
 
 
 def with_times(change: Callable[[np.ndarray], np.ndarray], name: str = "") -> TableEdit:
-    """Return the change of time stamps (K,) [s], and of their column's name."""
+    """Change time stamps (K,) [s], and the name of their column."""
 
     def edit(table: pd.DataFrame, _: int) -> pd.DataFrame:
         table = table.assign(time_s=change(table["time_s"].to_numpy()))
@@ -305,31 +305,31 @@ def with_times(change: Callable[[np.ndarray], np.ndarray], name: str = "") -> Ta
 def with_both_times(
     change: Callable[[np.ndarray], np.ndarray], name: str = ""
 ) -> Callable[[Bench], Bench]:
-    """Return the mistake of time stamps in both files."""
+    """Change the time stamps of both files."""
     edit = with_times(change, name)
     return lambda bench: replace(bench, edits={"robot": edit, "tracker": edit})
 
 
 def repeat_stamps(t: np.ndarray) -> np.ndarray:
-    """Give every tenth row the stamp of the one before."""
+    """Give every tenth row the stamp of the row before."""
     t = t.copy()
     t[10::10] = t[9:-1:10]
     return t
 
 
 def turn_back(t: np.ndarray) -> np.ndarray:
-    """Let a clock begin again in the middle."""
+    """Restart the clock in the middle."""
     return np.where(np.arange(len(t)) < len(t) // 2, t, t - (t[len(t) // 2] - t[0]))
 
 
 def keep_some(table: pd.DataFrame, _: int) -> pd.DataFrame:
-    """Keep rows at random, so that frames are not even."""
+    """Keep a random 60 % of the rows."""
     rng = np.random.default_rng(11)
     return table[rng.random(len(table)) < 0.6]
 
 
 def lose(share: float) -> TableEdit:
-    """Return the change of a tracker that loses its points in a share of frames."""
+    """Remove the points from a share of frames."""
 
     def edit(table: pd.DataFrame, number: int) -> pd.DataFrame:
         rng = np.random.default_rng(number)
@@ -342,7 +342,7 @@ def lose(share: float) -> TableEdit:
 
 
 def throw_out(table: pd.DataFrame, number: int) -> pd.DataFrame:
-    """Take something else for the points in one of twenty frames."""
+    """Displace the points in one of twenty frames."""
     rng = np.random.default_rng(number)
     is_out = rng.random(len(table)) < 0.05
     names = [name for name in table if name != "time_s"]
@@ -353,7 +353,7 @@ def throw_out(table: pd.DataFrame, number: int) -> pd.DataFrame:
 
 
 def hide_half(table: pd.DataFrame, number: int) -> pd.DataFrame:
-    """Lose the tip in the second half of each trial."""
+    """Remove the tip from the second half of each trial."""
     table = table.copy()
     names = [name for name in table if str(name).startswith("tip")]
     table.loc[len(table) // 2 :, names] = np.nan
@@ -361,7 +361,7 @@ def hide_half(table: pd.DataFrame, number: int) -> pd.DataFrame:
 
 
 def put_text(table: pd.DataFrame, number: int) -> pd.DataFrame:
-    """Write a word where a point was lost."""
+    """Write a word into every fifteenth row."""
     table = table.astype(object)
     table.iloc[::15, 1:] = "lost"
     return table
@@ -374,7 +374,7 @@ def film_slowly(bench: Bench) -> Bench:
 
 
 def rename_joints(*names: str) -> Callable[[Bench], Bench]:
-    """Return the mistake of joints with other names."""
+    """Rename the joints."""
 
     def edit(table: pd.DataFrame, _: int) -> pd.DataFrame:
         return table.set_axis(["time_s", *names], axis=1)
@@ -383,7 +383,7 @@ def rename_joints(*names: str) -> Callable[[Bench], Bench]:
 
 
 def wrap_joint(table: pd.DataFrame, _: int) -> pd.DataFrame:
-    """Let an angle [deg] jump by a turn in the middle of its range."""
+    """Wrap an angle [deg] in the middle of its range."""
     name = table.columns[2]
     angle = table[name].to_numpy()
     cut = (angle.min() + angle.max()) / 2
@@ -391,14 +391,13 @@ def wrap_joint(table: pd.DataFrame, _: int) -> pd.DataFrame:
 
 
 def count_joint(table: pd.DataFrame, _: int) -> pd.DataFrame:
-    """Write the second joint as an encoder's counts among degrees."""
+    """Write the second joint in encoder counts, the others in degrees."""
     name = table.columns[2]
     counts = encoder_counts(np.radians(table[name].to_numpy()))
     return table.assign(**{name: counts})
 
 
-# mistake -> (how it is made, what the answer holds); an answer is the words of an
-# option that is taken, or of a message
+# mistake -> (change of the bench, pattern in the output)
 MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "clean": (lambda bench: bench, "Usable"),
     "joints 1 and 2 swapped": (misorder(1, 0, 2), "--map q1=joint2_deg"),
@@ -545,5 +544,4 @@ FILE_MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
         "Usable",
     ),
 }
-# of what one point shows nothing
 NEEDS_TWO_POINTS = {"tip and mid exchanged"}

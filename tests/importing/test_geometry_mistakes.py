@@ -1,6 +1,6 @@
-"""Mistakes in files end in the right correction, a note or a clear error.
+"""Each mistake in files is corrected, noted or refused with a clear error.
 
-Nothing wrong is called usable, and clean files are left alone.
+No wrong data are accepted as usable, and clean files stay unchanged.
 """
 
 import re
@@ -29,8 +29,7 @@ BENCHES = {
     "two_clocks": lambda: two_clocks_bench(TWO_CLOCKS),
 }
 ALL_MISTAKES = MISTAKES | FILE_MISTAKES
-# Single corrections have quick tests of their own, and the others here are long. The
-# clocks of the sample are together, so that they need no fit of seconds.
+# The other cases are marked long. The sample needs no fit of clocks, which is slow.
 QUICK = {
     "simulated": ("missing y of the tip", "trackers shuffled"),
     "sample": (
@@ -54,10 +53,10 @@ QUICK = {
         "decimal comma",
     ),
 }
-MAX_ERROR_M = 0.02  # of a fitted base
-# of clocks that are aligned: how far intervals are right, the study of clocks says
+MAX_ERROR_M = 0.02  # a fitted base has an error, too
+# tolerated error of fitted clocks; the study of clocks measures it
 CLOCK_ERRORS_S = np.arange(-20, 21) * 1e-3
-SHARE_TRUE = 0.9  # of the points: others may be outliers
+SHARE_TRUE = 0.9  # the other points may be outliers
 
 
 def cases():
@@ -69,7 +68,9 @@ def cases():
                 is_quick = points == "two" and mistake in QUICK.get(bench, ())
                 marks = [] if is_quick else [pytest.mark.long]
                 if bench == "two_clocks" and not TWO_CLOCKS.exists():
-                    marks.append(pytest.mark.skip(reason="the case is not here"))
+                    marks.append(
+                        pytest.mark.skip(reason="needs shared/cases/two_clocks")
+                    )
                 yield pytest.param(bench, points, mistake, marks=marks)
 
 
@@ -86,42 +87,42 @@ def benches():
 
 
 @pytest.mark.parametrize(("name", "points", "mistake"), list(cases()))
-def test_a_mistake_ends_in_its_correction_or_a_clear_error(
+def test_mistakes_are_corrected_or_refused_with_a_clear_error(
     benches, called, tmp_path, undrawn_trial, name, points, mistake
 ):
     truth = benches(name, points)
     if mistake.startswith("fps"):
-        truth = truth.with_rate(1.0)  # whose frames are even
+        truth = truth.with_rate(1.0)  # frames at equal intervals
     make, answer = ALL_MISTAKES[mistake]
     words = make(truth).write(tmp_path)
-    done = called("import", *words, "--to", tmp_path / "mine")
-    text = re.sub(r"\s+", " ", done.stdout + done.stderr)
-    print(f"{name} | {points} | {mistake} | {summary_of(done)}")
+    result = called("import", *words, "--to", tmp_path / "mine")
+    text = re.sub(r"\s+", " ", result.stdout + result.stderr)
+    print(f"{name} | {points} | {mistake} | {summary_of(result)}")
     assert "Traceback" not in text
     assert re.search(answer, text), text[-1500:]
-    # a command that is proposed is the right one
-    command = re.search(r"If that is so: (.*)", done.stderr)
+    # the proposed command must give the true data
+    command = re.search(r"If that is so: (.*)", result.stderr)
     if command:
         proposed = shlex.split(command[1])
-        done = called(*proposed[proposed.index("import") :])
-        assert done.returncode == 0, done.stdout[-1500:] + done.stderr
-    if done.returncode == 0:
+        result = called(*proposed[proposed.index("import") :])
+        assert result.returncode == 0, result.stdout[-1500:] + result.stderr
+    if result.returncode == 0:
         assert is_true(tmp_path / "mine", truth)
 
 
-def summary_of(done):
-    """Return the answer in a line."""
-    if done.returncode == 0:
-        taken = re.findall(r"Taken as ([^\n]*)\.\n", done.stdout)
-        taken = [words for words in taken if "clock" not in words]
-        return "taken as " + " ".join(taken) if taken else "left alone"
-    return re.sub(r"\s+", " ", done.stderr)[-420:]
+def summary_of(result):
+    """Summarise the output in a line."""
+    if result.returncode == 0:
+        corrections = re.findall(r"Taken as ([^\n]*)\.\n", result.stdout)
+        corrections = [words for words in corrections if "clock" not in words]
+        return "taken as " + " ".join(corrections) if corrections else "left alone"
+    return re.sub(r"\s+", " ", result.stderr)[-420:]
 
 
 def is_true(folder, bench):
-    """Return whether the trials of a dataset hold what is true of a bench.
+    """Return whether all trials of a dataset agree with the true bench.
 
-    Trials are those of the bench, of which some may be left out.
+    The dataset may have fewer trials than the bench.
     """
     data = dataset.read_dataset(folder)
     arm = data.metadata["arm"]
@@ -132,24 +133,24 @@ def is_true(folder, bench):
         read = trial.arm[["q1", "q2", "q3"]].to_numpy()
         hand = arm_poses(read, arm["links"], arm["base"])[:, :2]
         true_hand = arm_poses(joints, bench.links, bench.base)[:, :2]
-        # the arm's clock may count from elsewhere
+        # the arm's clock may have another origin
         begin = trial.arm["t"].iloc[0] - t[0]
         if not is_near(trial.arm["t"] - begin, hand, t, true_hand):
             return False
         for name, (point_t, xy) in bench.points[number - 1].items():
             s = trial.points["s"].max() if name == "tip" else trial.points["s"].min()
-            own = trial.points[np.isclose(trial.points["s"], s)]
-            times = own["t"] - begin - bench.clock
-            if not is_near(times, own[["x", "y"]].to_numpy(), point_t, xy):
+            point = trial.points[np.isclose(trial.points["s"], s)]
+            times = point["t"] - begin - bench.clock
+            if not is_near(times, point[["x", "y"]].to_numpy(), point_t, xy):
                 return False
     return True
 
 
-def is_near(times, places, true_times, true_places):
-    """Return whether most places (N, 2) are the true ones at their times."""
+def is_near(times, positions, true_times, true_positions):
+    """Return whether most positions (N, 2) are true, apart from a clock error."""
     smallest = np.inf
     for offset in CLOCK_ERRORS_S:
-        at_times = interpolate_rows(times + offset, true_times, true_places)
-        errors = np.linalg.norm(places - at_times, axis=1)
+        at_times = interpolate_rows(times + offset, true_times, true_positions)
+        errors = np.linalg.norm(positions - at_times, axis=1)
         smallest = min(smallest, np.quantile(errors, SHARE_TRUE))
     return smallest < MAX_ERROR_M

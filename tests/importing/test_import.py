@@ -1,4 +1,4 @@
-"""Logs of arms and tables of trackers become the dataset that they record."""
+"""Import of robot logs and tracker tables as a dataset."""
 
 import json
 import re
@@ -64,13 +64,13 @@ COLUMNS = {
 
 
 @pytest.mark.parametrize("column", COLUMNS)
-def test_a_column_is_known_by_its_name(column):
+def test_column_names_give_the_meaning_of_columns(column):
     assert column_meaning(column) == COLUMNS[column]
 
 
 @pytest.fixture(scope="module")
 def sample():
-    """Return angles and tips of two trials, with times from 0."""
+    """Return joint angles and tip positions of two trials, times from 0."""
     arm, points = (
         pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
     )
@@ -89,10 +89,7 @@ def sample():
 
 
 def logs(folder, sample, clock=81.0, **how):
-    """Write the robot's log (ms, degrees) and the tracker's (s, mm) for each trial.
-
-    Returns the paths of both.
-    """
+    """Write robot logs (ms, degrees) and tracker tables (s, mm); return their paths."""
     for number, (arm, tips) in enumerate(sample, 8):
         robot = pd.DataFrame(
             {"timestamp_ms": (arm["t"] + clock) * 1e3, "joint1_current": 0.2}
@@ -112,21 +109,18 @@ def logs(folder, sample, clock=81.0, **how):
     return sorted(folder.glob("robot_*.csv")), sorted(folder.glob("tracker_*.csv"))
 
 
-def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
+def test_robot_and_tracker_logs_become_a_dataset(
     sample, called, tmp_path, undrawn_trial
 ):
-    """A robot's log and a tracker's table become the dataset that they record.
-
-    Units come from the columns' names, clocks 81 s apart from the motion.
-    """
+    """Column names give the units; the motion gives the clock offset of 81 s."""
     robots, trackers = logs(tmp_path, sample)
-    done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
-    assert done.returncode == 0, done.stderr
-    assert "Taken as --clock fit" in done.stdout
-    assert re.search(r"95 % interval \+8[01]\.\d+ to \+8[01]\.", done.stdout)
-    assert re.search(r"robot_\* \(2\) +joint2_deg +q2 \[deg\], by name", done.stdout)
-    assert re.search(r"joint1_current +left out", done.stdout)
-    assert "Usable: 2 trials" in done.stdout
+    result = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
+    assert result.returncode == 0, result.stderr
+    assert "Taken as --clock fit" in result.stdout
+    assert re.search(r"95 % interval \+8[01]\.\d+ to \+8[01]\.", result.stdout)
+    assert re.search(r"robot_\* \(2\) +joint2_deg +q2 \[deg\], by name", result.stdout)
+    assert re.search(r"joint1_current +left out", result.stdout)
+    assert "Usable: 2 trials" in result.stdout
     data = dataset.read_dataset(tmp_path / "mine")
     assert list(data.trials) == ["t08", "t09"]
     for (arm, tips), trial in zip(sample, data.trials.values(), strict=True):
@@ -135,18 +129,16 @@ def test_a_robots_log_and_a_tracker_become_the_dataset_that_they_are_of(
         np.testing.assert_allclose(
             trial.points[["x", "y"]], tips[["x", "y"]], atol=1e-9
         )
-        # the tolerance is a frame, as the strings whip at 20 m/s
+        # tolerance: one frame, as the tip reaches 20 m/s
         assert np.abs(trial.points["t"] - shift - tips["t"]).max() < 0.006
         assert set(trial.points["s"]) == {0.304}
     again = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
     assert (again.returncode, "rm -r" in again.stderr) == (2, True)
 
 
-def test_the_tutorial_goes_as_its_page_says(called, tmp_path, undrawn_trial):
-    """The tutorial runs as its page says, up to the diagnosis.
-
-    That covers what it imports, and what is reported of that.
-    """
+def test_import_of_the_tutorial_prints_what_its_page_shows(
+    called, tmp_path, undrawn_trial
+):
     page = (ROOT / "data/tutorial/README.md").read_text(encoding="utf-8")
     words = (
         re.search(r"pipeline import (.*)", page)[1]
@@ -157,23 +149,20 @@ def test_the_tutorial_goes_as_its_page_says(called, tmp_path, undrawn_trial):
         str(file) for word in words if "*" in word for file in sorted(ROOT.glob(word))
     ]
     assert len(files) == 10
-    done = called("import", *files, *(word for word in words if "*" not in word))
+    result = called("import", *files, *(word for word in words if "*" not in word))
     printed = re.search(r"```\n(file .*?)```", page, re.S)[1].splitlines()
-    said = [line.rstrip() for line in done.stdout.splitlines()]
+    printed_lines = [line.rstrip() for line in result.stdout.splitlines()]
     assert [
         line
         for line in printed
-        if line not in (*said, "...", "What was understood, drawn: mine.png")
+        if line not in (*printed_lines, "...", "What was understood, drawn: mine.png")
     ] == []
 
 
-def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
+def test_other_units_and_directions_are_detected_and_reported(
     sample, called, tmp_path, undrawn_trial
 ):
-    """Other units and directions are detected and reported.
-
-    Arm and string reveal millimetres, degrees and y down.
-    """
+    """The files are in millimetres and degrees, with y down."""
     for number, (arm, tips) in enumerate(sample):
         angles = np.degrees(arm[["q1", "q2", "q3"]]).assign(t=arm["t"])
         angles.to_csv(tmp_path / f"arm{number}.csv", index=False)
@@ -182,21 +171,23 @@ def test_what_is_in_another_unit_or_direction_is_taken_so_and_said(
         )
         places.to_csv(tmp_path / f"tip{number}.csv", index=False, sep=";", decimal=",")
     files = sorted(tmp_path.glob("*.csv"))
-    done = called("import", *files, "--to", tmp_path / "mine", *BENCH)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "--unit=tip0.csv=mm" in done.stdout or "--unit tip0.csv=mm" in done.stdout
-    assert "--y-down" in done.stdout
-    assert "which no joint does in radians" in done.stdout.replace("\n", " ")
+    result = called("import", *files, "--to", tmp_path / "mine", *BENCH)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert (
+        "--unit=tip0.csv=mm" in result.stdout or "--unit tip0.csv=mm" in result.stdout
+    )
+    assert "--y-down" in result.stdout
+    assert "which no joint does in radians" in result.stdout.replace("\n", " ")
     stored = dataset.read_dataset(tmp_path / "mine").trials["t0"]
     np.testing.assert_allclose(stored.points["y"], sample[0][1]["y"], atol=1e-9)
     np.testing.assert_allclose(stored.arm["q1"], sample[0][0]["q1"], atol=1e-9)
 
 
 @pytest.mark.parametrize("together", [False, True], ids=["own file", "one file"])
-def test_y_down_is_mended_beside_poses_of_the_hand(
+def test_y_down_is_corrected_unless_hand_and_points_share_a_file(
     sample, called, tmp_path, undrawn_trial, together
 ):
-    """Points in a file of their own are turned; an option would turn both in one."""
+    """In one file, the option would also flip y of the hand."""
     angles = sample[0][0][["q1", "q2", "q3"]].to_numpy()
     x, y, theta = arm_poses(angles, (0.25, 0.2, 0.135), (0.2, 0.2)).T
     hand = pd.DataFrame(
@@ -215,27 +206,27 @@ def test_y_down_is_mended_beside_poses_of_the_hand(
         tip.to_csv(tmp_path / "tip_1.csv", index=False)
     hand.to_csv(tmp_path / "hand_1.csv", index=False)
     files = sorted(tmp_path.glob("*.csv"))
-    done = called("import", *files, "--to", tmp_path / "mine", "--length", "304mm")
+    result = called("import", *files, "--to", tmp_path / "mine", "--length", "304mm")
     if together:
-        assert done.returncode == 2
-        assert "y points down, not up" in done.stderr
-        assert "Multiply y by -1" in done.stderr
+        assert result.returncode == 2
+        assert "y points down, not up" in result.stderr
+        assert "Multiply y by -1" in result.stderr
     else:
-        assert done.returncode == 0, done.stderr
-        assert "Taken as --y-down" in done.stdout
+        assert result.returncode == 0, result.stderr
+        assert "Taken as --y-down" in result.stdout
 
 
-def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path):
+def test_trials_in_different_frames_of_reference_are_refused(sample, called, tmp_path):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
-    # opposite shifts are no place of the arm
+    # opposite shifts of two trials cannot be an error of the arm's base
     for path, shift in zip(trackers, (700, -700), strict=True):
         pd.read_csv(path).assign(tip_x_mm=lambda f, d=shift: f["tip_x_mm"] + d).to_csv(
             path, index=False
         )
-    done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
-    assert done.returncode == 2
-    assert "was not written" in done.stderr
-    assert (done.stdout + done.stderr).count("one frame of reference") == 1
+    result = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
+    assert result.returncode == 2
+    assert "was not written" in result.stderr
+    assert (result.stdout + result.stderr).count("one frame of reference") == 1
     assert not (tmp_path / "mine").exists()
     # the drawing shows the fault
     assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
@@ -250,17 +241,17 @@ def test_nothing_is_written_where_the_string_cannot_be(sample, called, tmp_path)
     ],
     ids=["correction", "file", "option"],
 )
-def test_programs_find_file_field_and_remedy_of_a_mistake(
+def test_json_findings_name_file_field_and_remedy(
     sample, called, tmp_path, changes, file, field, statement, remedy
 ):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     options = dict(zip(BENCH[::2], BENCH[1::2], strict=True)) | changes
     words = [word for pair in options.items() for word in pair]
-    done = called(
+    result = called(
         "import", *robots, *trackers, "--json", "--to", tmp_path / "m", *words
     )
-    assert done.returncode == 1, done.stderr
-    overview = json.loads(done.stdout)
+    assert result.returncode == 1, result.stderr
+    overview = json.loads(result.stdout)
     (finding,) = overview["findings"]
     assert not overview["usable"]
     assert finding["field"] == field
@@ -269,16 +260,16 @@ def test_programs_find_file_field_and_remedy_of_a_mistake(
     assert remedy in finding["remedy"]
 
 
-def test_how_far_a_clock_may_be_off_is_stated_in_the_dataset(sample, tmp_path):
+def test_clock_uncertainty_is_stored_in_the_dataset(sample, tmp_path):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     recordings = read_recordings([*robots, *trackers])
     for text, clock in (("0.1", None), ("0.1,0.002", {"low": -0.002, "high": 0.002})):
         words = ["a.csv", *BENCH, f"--clock={text}"]
         options = argument_parser().parse_args(words)
         tables = gather_tables(recordings, read_column_hints(options))
-        made = convert_recordings(tables, read_bench_hints(options))
-        assert made.points["t"].min() == pytest.approx(0.1)
-        assert made.metadata.get("clock") == clock
+        imported = convert_recordings(tables, read_bench_hints(options))
+        assert imported.points["t"].min() == pytest.approx(0.1)
+        assert imported.metadata.get("clock") == clock
     with pytest.raises(UserError, match="neither seconds nor fit"):
         read_clock("0.1,soon")
 
@@ -286,44 +277,40 @@ def test_how_far_a_clock_may_be_off_is_stated_in_the_dataset(sample, tmp_path):
 @pytest.mark.parametrize(
     ("words", "geometry"), [([], None), (["--geometry-measured"], "measured")]
 )
-def test_that_the_geometry_was_measured_is_stated_in_the_dataset(
+def test_measured_geometry_is_recorded_in_the_dataset(
     sample, tmp_path, words, geometry
 ):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     options = argument_parser().parse_args(["a.csv", *BENCH, *words])
     recordings = read_recordings([*robots, *trackers])
     tables = gather_tables(recordings, read_column_hints(options))
-    made = convert_recordings(tables, read_bench_hints(options))
-    assert made.metadata.get("geometry") == geometry
+    imported = convert_recordings(tables, read_bench_hints(options))
+    assert imported.metadata.get("geometry") == geometry
     assert "--geometry-measured" in equivalent_command(options) or not words
 
 
-def test_programs_get_the_command_and_what_was_found(
-    sample, called, tmp_path, undrawn_trial
-):
+def test_json_output_holds_command_and_folder(sample, called, tmp_path, undrawn_trial):
     robots, trackers = logs(tmp_path, sample, clock=0.0)
     folder = tmp_path / "mine"
-    done = called("import", *robots, *trackers, "--json", "--to", folder, *BENCH)
-    overview = json.loads(done.stdout)
-    assert done.returncode == 0
+    result = called("import", *robots, *trackers, "--json", "--to", folder, *BENCH)
+    overview = json.loads(result.stdout)
+    assert result.returncode == 0
     assert overview["usable"]
     assert overview["folder"] == str(folder)
     assert f"--to {folder}" in overview["command"]
     assert (folder / "dataset.yaml").exists()
 
 
-def test_on_a_terminal_it_asks_and_a_no_writes_nothing(
-    sample, called, tmp_path, monkeypatch
-):
+def test_answer_no_on_a_terminal_writes_nothing(sample, called, tmp_path, monkeypatch):
     robots, trackers = logs(tmp_path, sample)
     monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
     monkeypatch.setattr("builtins.input", lambda words: "n")
-    done = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
-    assert (done.returncode, "Nothing was written" in done.stderr) == (2, True)
+    result = called("import", *robots, *trackers, "--to", tmp_path / "mine", *BENCH)
+    assert (result.returncode, "Nothing was written" in result.stderr) == (2, True)
     assert not (tmp_path / "mine").exists()
 
 
-def test_patterns_that_a_shell_has_left_are_files_and_names_with_brackets_too(tmp_path):
+def test_patterns_are_expanded_and_brackets_in_names_kept(tmp_path):
     names = ("robot_2.csv", "robot_1.csv", "other.csv", "film[1].csv")
     for name in names:
         (tmp_path / name).touch()
@@ -332,7 +319,7 @@ def test_patterns_that_a_shell_has_left_are_files_and_names_with_brackets_too(tm
     assert [file.name for file in expand_patterns(given)] == want
 
 
-def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp_path):
+def test_dataset_holds_the_film_and_its_camera(sample, tmp_path):
     writer = cv2.VideoWriter(
         str(tmp_path / "film.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48)
     )
@@ -340,29 +327,29 @@ def test_a_film_lies_in_the_dataset_with_what_is_known_of_its_camera(sample, tmp
         writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
     robots, _ = logs(tmp_path, sample[:1])
-    told = BenchHints(
+    hints = BenchHints(
         length=0.3,
         links=(0.25, 0.2, 0.135),
         fps=200.0,
         px_per_m=100.0,
         origin_px=(32.0, 24.0),
     )
-    what = read(*robots, tmp_path / "film.mp4")
-    write_dataset(convert_recordings(what, told), tmp_path / "mine", robots, "")
+    tables = read(*robots, tmp_path / "film.mp4")
+    write_dataset(convert_recordings(tables, hints), tmp_path / "mine", robots, "")
     assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (
         tmp_path / "film.mp4"
     ).read_bytes()
     camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
     assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
     with pytest.raises(DataError, match=r"--fps 240 --px-per-m 340 --origin-px"):
-        convert_recordings(what, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
+        convert_recordings(tables, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
 
 
 T = np.arange(5) / 100
 JOINTS = {f"q{j}": np.linspace(0, j, 5) for j in (1, 2, 3)}
 
 
-def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
+def test_column_map_of_the_user_overrides_guessed_names(tmp_path):
     log = write(
         tmp_path,
         "log.csv",
@@ -374,7 +361,7 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
         X=1.0,
         Y=2.0,
     )
-    what = read(
+    tables = read(
         log,
         columns=[
             ("t", "Zeit"),
@@ -385,32 +372,31 @@ def test_names_of_a_person_come_first_with_sign_and_shift(tmp_path):
             ("tip.y", "Y"),
         ],
     )
-    np.testing.assert_allclose(what.motion["q1"], np.radians(90 - np.arange(5)))
-    assert what.joints == ["q1", "q2", "q3"]
-    assert set(what.points["point"]) == {"tip"}
+    np.testing.assert_allclose(tables.motion["q1"], np.radians(90 - np.arange(5)))
+    assert tables.joints == ["q1", "q2", "q3"]
+    assert set(tables.points["point"]) == {"tip"}
     with pytest.raises(DataError, match=r"no file has such a column. There are .*Zeit"):
         read(log, columns=[("t", "Zeitt")])
     with pytest.raises(DataError, match="'q' is no name of ours"):
         read(log, columns=[("q", "A_deg")])
 
 
-def test_files_may_call_their_times_differently(tmp_path):
-    """In one file the last name counts: it corrects one before."""
+def test_each_file_may_have_another_name_for_its_times(tmp_path):
+    """Within one file, the last mapping of a name replaces earlier ones."""
     arm = write(tmp_path, "arm_1.csv", Zeit=T, **JOINTS)
     track = write(tmp_path, "track_1.csv", Uhr=T, X=1.0, Y=2.0, height=3.0)
     names = [("t", "Zeit"), ("t", "Uhr"), ("tip.x", "X"), ("tip.y", "Y")]
-    what = read(arm, track, columns=names)
-    np.testing.assert_allclose(what.motion["t"], T)
-    np.testing.assert_allclose(what.points["t"], T)
+    tables = read(arm, track, columns=names)
+    np.testing.assert_allclose(tables.motion["t"], T)
+    np.testing.assert_allclose(tables.points["t"], T)
     corrected = read(arm, track, columns=[*names, ("tip.y", "height")])
     np.testing.assert_allclose(corrected.points["y"], 3.0)
 
 
-def test_numbers_say_what_names_do_not(tmp_path):
-    """Numbers show what names do not.
+def test_units_are_guessed_from_values_where_names_are_silent(tmp_path):
+    """The step gives the unit of times, the range that of angles.
 
-    Times are scaled by their steps, angles by their range. Dates become seconds;
-    guesses of a tracker are not valid.
+    Dates become seconds. Points with low likelihood become invalid.
     """
     arm = write(
         tmp_path,
@@ -429,22 +415,22 @@ def test_numbers_say_what_names_do_not(tmp_path):
         tip_y=0.2,
         tip_likelihood=[1, 0.9, 0.1, 1, 1],
     )
-    what = read(arm, tip)
-    assert what.motion["t"].diff().iloc[1:].round(6).eq(0.01).all()
-    assert what.motion["q1"].max() == pytest.approx(100 * pi / 180)
-    assert what.motion["q2"].max() == pytest.approx(pi / 180)
-    assert what.points["t"].iloc[0] == pd.Timestamp("2026-01-31 12:00").timestamp()
-    assert what.points["valid"].tolist() == [True, True, False, True, True]
+    tables = read(arm, tip)
+    assert tables.motion["t"].diff().iloc[1:].round(6).eq(0.01).all()
+    assert tables.motion["q1"].max() == pytest.approx(100 * pi / 180)
+    assert tables.motion["q2"].max() == pytest.approx(pi / 180)
+    assert tables.points["t"].iloc[0] == pd.Timestamp("2026-01-31 12:00").timestamp()
+    assert tables.points["valid"].tolist() == [True, True, False, True, True]
 
 
-def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
+def test_deeplabcut_and_optitrack_are_recognised_by_their_header(tmp_path):
     (tmp_path / "dlc.csv").write_text(
         "scorer,net,net,net,net,net,net\nbodyparts,mid,mid,mid,tip,tip,tip\ncoords,x,y,likelihood,x,y,likelihood\n"
         + "".join(f"{n},100,{200 + n},0.99,110,260,0.2\n" for n in range(5))
     )
     arm = write(tmp_path, "arm.csv", t=T, **JOINTS)
-    said = {"fps": 200.0, "px_per_m": 100.0, "origin_px": (50.0, 250.0)}
-    points = read(arm, tmp_path / "dlc.csv", **said).points
+    printed_lines = {"fps": 200.0, "px_per_m": 100.0, "origin_px": (50.0, 250.0)}
+    points = read(arm, tmp_path / "dlc.csv", **printed_lines).points
     mid = points[points["point"] == "mid"]
     np.testing.assert_allclose(mid[["t", "x", "y"]].iloc[1], (0.005, 0.5, 0.49))
     assert not points[points["point"] == "tip"]["valid"].any()
@@ -466,40 +452,37 @@ def test_deeplabcut_and_optitrack_are_known_by_their_first_line(tmp_path):
     )
     with pytest.raises(DataError, match="--plane x,z"):
         read(tmp_path / "take.csv")
-    what = read(tmp_path / "take.csv", plane="x,y")
+    tables = read(tmp_path / "take.csv", plane="x,y")
     np.testing.assert_allclose(
-        what.motion[["x", "y", "theta"]].iloc[0], (0.1, 0.2, pi / 2)
+        tables.motion[["x", "y", "theta"]].iloc[0], (0.1, 0.2, pi / 2)
     )
-    np.testing.assert_allclose(what.points[["x", "y"]].iloc[4], (0.114, 0.05))
+    np.testing.assert_allclose(tables.points[["x", "y"]].iloc[4], (0.114, 0.05))
     turned = read(tmp_path / "take.csv", plane="-y,x").motion.iloc[0]
     np.testing.assert_allclose(turned[["x", "y"]].astype(float), (-0.2, 0.1))
     # what pointed up now points left
     assert np.cos(turned["theta"] - pi) == pytest.approx(1)
 
 
-def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_path):
-    """Points lie along a hanging string, and other arms give poses.
-
-    Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand.
-    """
+def test_hanging_string_gives_arc_lengths_and_two_joints_give_poses(tmp_path):
+    """Two links of 0.3 m point right; points hang 0.1, 0.2 and 0.3 m below the hand."""
     arm = write(tmp_path, "arm.csv", t=T, q1=0.0, q2=0.0)
     hung = {
         f"p{n}_{axis}": 0.6 if axis == "x" else -depth
         for n, depth in ((3, 0.3), (1, 0.1), (2, 0.2))
         for axis in "xy"
     }
-    made = convert_recordings(
+    imported = convert_recordings(
         read(arm, write(tmp_path, "track.csv", t=T, **hung)),
         BenchHints(links=(0.3, 0.3)),
     )
-    assert made.hand_table.name == "grasp"
+    assert imported.hand_table.name == "grasp"
     np.testing.assert_allclose(
-        made.hand_rows[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12
+        imported.hand_rows[["x", "y", "theta"]].iloc[0], (0.6, 0, 0), atol=1e-12
     )
-    arc_lengths = sorted(made.points["s"].unique())
+    arc_lengths = sorted(imported.points["s"].unique())
     np.testing.assert_allclose(arc_lengths, [0.1, 0.2, 0.3], atol=1e-4)
-    assert made.metadata["string"]["length"] == pytest.approx(0.3, abs=2e-4)
-    assert any("give it with --length" in note for note in made.notes)
+    assert imported.metadata["string"]["length"] == pytest.approx(0.3, abs=2e-4)
+    assert any("give it with --length" in note for note in imported.notes)
     with pytest.raises(
         DataError,
         match=r"angles of 2 joints, .* gives 3 lengths.*--links 0.25,0.20 ",
@@ -509,8 +492,8 @@ def test_points_lie_along_a_string_as_it_hangs_and_other_arms_give_poses(tmp_pat
         )
 
 
-def test_columns_of_two_kinds_of_files_have_rows_of_their_own(tmp_path):
-    """Hand and string have an x each; several files of one kind share a row."""
+def test_equal_columns_of_two_kinds_of_files_get_separate_rows(tmp_path):
+    """Hand and string both have x; several files of one kind share a row."""
     files = []
     for number in (1, 2):
         hand = {"t": T, "x": 0.1, "y": 0.2, "theta": 0.0}
@@ -524,8 +507,8 @@ def test_columns_of_two_kinds_of_files_have_rows_of_their_own(tmp_path):
     assert [row[3] for row in rows] == ["0.2 m", "-0.1 m"]
 
 
-def test_bad_points_and_a_hand_without_direction_are_no_measurements(tmp_path):
-    """Points that a tracker does not rate count."""
+def test_rows_without_points_or_hand_direction_are_dropped(tmp_path):
+    """Points that the tracker does not rate are kept."""
     t = np.arange(10) / 100
     arm = write(tmp_path, "arm.csv", t=t, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
     tables = read(arm, write(tmp_path, "track.csv", t=t, tip_x=0.1, tip_y=-0.1))
@@ -537,11 +520,8 @@ def test_bad_points_and_a_hand_without_direction_are_no_measurements(tmp_path):
     np.testing.assert_allclose(recording.tracks[0].t, t[2:])
 
 
-def test_points_that_hang_as_of_another_string_are_not_placed(tmp_path):
-    """The length is stated, and the last point is not the tip.
-
-    In a second trial, x of the points counts to the left: no string reaches them.
-    """
+def test_points_that_contradict_the_stated_length_are_refused(tmp_path):
+    """Either the last point is not the tip, or x of one trial is mirrored."""
     arm = [
         write(tmp_path, f"arm_{number}.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
         for number in (1, 2)
@@ -562,8 +542,8 @@ def test_points_that_hang_as_of_another_string_are_not_placed(tmp_path):
         convert_recordings(mirrored, bench)
 
 
-def test_clocks_are_not_aligned_where_the_hand_of_no_string_is_known(tmp_path):
-    """The string of the only hand's trial was seen in two frames."""
+def test_clock_fit_needs_a_trial_with_hand_and_string(tmp_path):
+    """In the only trial with a hand, the string was seen in two frames."""
     files = [
         write(tmp_path, f"arm_{number}.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_yaw=0.0)
         for number in (1, 3)
@@ -607,7 +587,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_what_is_missing_is_named_with_the_option_that_says_it(tmp_path, kind):
+def test_missing_information_is_named_with_the_option_that_gives_it(tmp_path, kind):
     files, message = WRONG[kind]
     for name, text in files.items():
         (tmp_path / name).write_text(text)
@@ -625,7 +605,7 @@ def test_what_is_missing_is_named_with_the_option_that_says_it(tmp_path, kind):
         ([], "import: it needs: files. Try: python -m pipeline import --help"),
     ],
 )
-def test_a_wrong_option_is_refused_in_one_line(words, message):
+def test_wrong_options_are_refused_in_one_line(words, message):
     with pytest.raises(UserError, match=message) as refused:
         argument_parser().parse_args(words)
     assert "\n" not in str(refused.value)

@@ -1,6 +1,6 @@
-"""Kinds of files that people of the field reported: each fault is named, or mended.
+"""File faults that users in the field reported are named or corrected.
 
-Each test also shows that a file of the same kind without the fault is read as it is.
+Each test also reads a file of the same kind without the fault.
 """
 
 import numpy as np
@@ -44,7 +44,7 @@ def arm(tmp_path):
     ],
     ids=["float32", "coarse"],
 )
-def test_stamps_that_carry_no_time_ask_for_the_rate(arm, tmp_path, stamps, words):
+def test_too_coarse_time_stamps_ask_for_the_frame_rate(arm, tmp_path, stamps, words):
     tip = write(tmp_path, "tip.csv", time=stamps, tip_x=TURN, tip_y=-TURN)
     with pytest.raises(DataError, match=rf"tip\.csv: .*{words}.* --fps 200"):
         read(arm, tip)
@@ -52,8 +52,8 @@ def test_stamps_that_carry_no_time_ask_for_the_rate(arm, tmp_path, stamps, words
     np.testing.assert_allclose(counted["t"], T, atol=1e-9)
 
 
-def test_stamps_are_judged_by_trial_and_by_place(arm, tmp_path):
-    """Each place of a frame has the frame's stamp, and trials begin alike."""
+def test_points_of_a_frame_and_trials_may_share_stamps(arm, tmp_path):
+    """Three points of a frame have its stamp; both trials begin at 0."""
     columns = {"trial": np.repeat(["1", "2"], COUNT), "q1": 0.1, "q2": 0.2, "q3": 0.3}
     arms = write(tmp_path, "arms.csv", t=np.tile(T, 2), **columns)
     long = write(
@@ -69,8 +69,8 @@ def test_stamps_are_judged_by_trial_and_by_place(arm, tmp_path):
     np.testing.assert_allclose(points["t"].unique(), T)
 
 
-def test_missing_frames_are_counted_by_the_number_of_the_frame(arm, tmp_path):
-    """SLEAP writes no row for a frame in which it saw nothing."""
+def test_frame_numbers_account_for_missing_frames(arm, tmp_path):
+    """SLEAP writes no row for a frame without detections."""
     seen = np.delete(np.arange(COUNT), [3, 4, 5, 20])
     columns = {"tip.x": TURN[seen], "tip.y": 0.0, "tip.score": 0.9}
     sleap = write(tmp_path, "sleap.csv", track="", frame_idx=seen, **columns)
@@ -84,12 +84,12 @@ def test_missing_frames_are_counted_by_the_number_of_the_frame(arm, tmp_path):
     np.testing.assert_allclose(points["t"], seen / 200)
 
 
-def test_a_column_that_counts_every_row_needs_no_question(arm, tmp_path):
+def test_column_that_counts_all_rows_needs_no_mapping(arm, tmp_path):
     tip = write(tmp_path, "tip.csv", row=np.arange(COUNT), tip_x=TURN, tip_y=0.0)
     np.testing.assert_allclose(read(arm, tip, fps=200.0).points["t"], T)
 
 
-def test_joints_are_known_by_what_they_turn_whatever_their_order(tmp_path):
+def test_joints_named_by_body_part_are_put_in_order(tmp_path):
     tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=0.0)
     columns = {"elbow_joint": 0.3, "wrist_1_joint": 0.4, "shoulder_lift_joint": 0.2}
     motion = read(write(tmp_path, "ur.csv", t=T, **columns), tip).motion
@@ -101,8 +101,8 @@ def test_joints_are_known_by_what_they_turn_whatever_their_order(tmp_path):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_joints_of_a_message_are_known_by_name(turned):
-    """The order of names may turn within a bag."""
+def test_joints_of_a_message_are_matched_by_name(turned):
+    """The order of names may change within a bag."""
     names, position = ["elbow_joint", "shoulder_lift_joint"], [0.3, 0.2]
     if turned:
         names, position = names[::-1], position[::-1]
@@ -111,8 +111,8 @@ def test_joints_of_a_message_are_known_by_name(turned):
     assert row["joint shoulder_lift_joint [rad]"] == 0.2
 
 
-def test_names_of_trials_stay_texts(tmp_path):
-    """NA is a name, and 1 and 01 are two."""
+def test_trial_names_stay_text(tmp_path):
+    """NA is a valid name; 1 and 01 are different trials."""
     names = np.repeat(["NA", "1", "01"], COUNT)
     clock = np.tile(T, 3)
     arms = write(tmp_path, "arm.csv", trial=names, t=clock, q1=0.1, q2=0.2, q3=0.3)
@@ -122,14 +122,14 @@ def test_names_of_trials_stay_texts(tmp_path):
     assert set(tables.points["trial"]) == {"NA", "t1", "t01"}
 
 
-def test_whole_numbers_of_trials_agree_however_a_program_writes_them(tmp_path):
+def test_trial_number_1_and_1_0_are_the_same_trial(tmp_path):
     arms = write(tmp_path, "arm.csv", trial=[1.0] * COUNT, t=T, q1=0.1, q2=0.2, q3=0.3)
     tips = write(tmp_path, "tip.csv", trial=[1] * COUNT, t=T, tip_x=0.1, tip_y=0.2)
     tables = read(arms, tips)
     assert set(tables.motion["trial"]) == set(tables.points["trial"]) == {"t1"}
 
 
-def test_rows_of_zeros_among_others_are_counted_and_left_out_on_request(tmp_path):
+def test_zero_rows_are_counted_and_skipped_on_request(tmp_path):
     tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=0.0)
     angles = {"q1": 1 + TURN, "q2": -1 - TURN, "q3": TURN}
     clean = read(write(tmp_path, "arm.csv", t=T, **angles), tip)
@@ -142,7 +142,7 @@ def test_rows_of_zeros_among_others_are_counted_and_left_out_on_request(tmp_path
     assert len(skipped.motion) == COUNT - COUNT // 10
 
 
-def test_an_empty_file_is_named(arm, tmp_path):
+def test_empty_files_are_named(arm, tmp_path):
     (tmp_path / "tip.csv").write_text("")
     with pytest.raises(DataError, match=r"tip\.csv: it is empty. Export it again"):
         read(arm, tmp_path / "tip.csv")
@@ -152,7 +152,7 @@ MOTIVE = "Format Version,1.23,Rotation Type,Quaternion,Length Units,Meters\n\n"
 
 
 def motive(folder, bodies, markers):
-    """Write Motive's CSV: places (COUNT, 3) of bodies and markers by name."""
+    """Write Motive's CSV from positions (COUNT, 3) of bodies and markers by name."""
     kinds, names, quantities, axes = ["", ""], ["", ""], ["", ""], ["Frame", "Time"]
     columns = [np.arange(COUNT), T]
     for name, places in bodies.items():
@@ -176,19 +176,19 @@ def motive(folder, bodies, markers):
 
 
 def moving_places(x):
-    """Return places (COUNT, 3) of what moves to the right, and begins at x."""
+    """Return positions (COUNT, 3) that move to the right from x."""
     return np.stack([x + TURN, np.zeros(COUNT), np.zeros(COUNT)], axis=1)
 
 
 def cut(places, rows):
-    """Split a track into what lies outside and inside some rows."""
+    """Split a track: NaN inside some rows, and NaN outside them."""
     inside = np.zeros(COUNT, dtype=bool)
     inside[rows] = True
     outer = np.where(inside[:, None], np.nan, places)
     return outer, np.where(inside[:, None], places, np.nan)
 
 
-def test_a_marker_that_comes_back_without_its_name_is_the_same(tmp_path):
+def test_marker_that_reappears_unlabelled_is_recognised(tmp_path):
     tip, back = cut(moving_places(0.0), slice(20, 30))
     take = motive(
         tmp_path,
@@ -202,7 +202,7 @@ def test_a_marker_that_comes_back_without_its_name_is_the_same(tmp_path):
     assert "is taken for tip" in tables.notes[0]
 
 
-def test_a_reflection_is_no_point_of_the_string(tmp_path):
+def test_reflections_are_not_taken_for_points(tmp_path):
     _, glint = cut(moving_places(3.0), slice(10, 14))
     markers = {
         "mid": moving_places(0.5),
@@ -219,7 +219,7 @@ def test_a_reflection_is_no_point_of_the_string(tmp_path):
     assert tables.notes == []
 
 
-def test_of_several_bodies_the_hand_is_asked_for(tmp_path):
+def test_several_bodies_require_the_hand_option(tmp_path):
     bodies = {"flange": moving_places(1.0), "table": moving_places(9.0)}
     take = motive(tmp_path, bodies, {"tip": moving_places(0.0)})
     with pytest.raises(DataError, match=r"flange, table.*--hand 'flange'"):
@@ -230,7 +230,7 @@ def test_of_several_bodies_the_hand_is_asked_for(tmp_path):
         read(take, plane="x,y", hand="gripper")
 
 
-def test_markers_of_the_same_name_are_told_apart_by_their_set_or_refused(tmp_path):
+def test_equal_marker_names_are_distinguished_by_set_or_refused(tmp_path):
     body = {"flange": moving_places(1.0)}
     markers = {"left:tip": moving_places(0.0), "right:tip": moving_places(0.5)}
     points = read(motive(tmp_path, body, markers), plane="x,y").points
@@ -246,12 +246,12 @@ def test_markers_of_the_same_name_are_told_apart_by_their_set_or_refused(tmp_pat
     [
         (np.r_[0:20, 0:20], True),
         (np.r_[20:40, 0:20], False),  # blocks in another order
-        (np.r_[0:20, 21, 20, 22:40], False),  # a packet that came late
+        (np.r_[0:20, 21, 20, 22:40], False),  # a late packet
         (np.r_[39:-1:-1], False),
     ],
     ids=["restart", "blocks", "packet", "reverse"],
 )
-def test_a_clock_that_begins_again_is_no_order_of_rows(
+def test_restarted_clock_is_refused_and_unordered_rows_accepted(
     arm, tmp_path, order, is_restart
 ):
     tip = write(tmp_path, "tip.csv", time_s=T[order], tip_x=TURN, tip_y=-TURN)
@@ -262,7 +262,7 @@ def test_a_clock_that_begins_again_is_no_order_of_rows(
         assert len(read(arm, tip).points) == COUNT
 
 
-def test_of_metres_and_pixels_those_in_metres_count(arm, tmp_path):
+def test_positions_in_metres_are_preferred_to_pixels(arm, tmp_path):
     places = {"x": TURN, "y": -TURN, "u": 300 + TURN, "v": 200 + TURN}
     for order in (["x", "y", "u", "v"], ["u", "v", "x", "y"]):
         columns = {name: places[name] for name in order}
@@ -281,7 +281,7 @@ def test_of_metres_and_pixels_those_in_metres_count(arm, tmp_path):
         ("take07", "take17", {"t07", "t17"}),
     ],
 )
-def test_names_of_trials_end_with_a_word(tmp_path, first, second, trials):
+def test_trial_names_are_cut_at_whole_words(tmp_path, first, second, trials):
     files = []
     for name in (first, second):
         angles = {"q1": TURN, "q2": TURN, "q3": TURN}
@@ -290,7 +290,7 @@ def test_names_of_trials_end_with_a_word(tmp_path, first, second, trials):
     assert set(read(*files).points["trial"]) == trials
 
 
-def test_a_unit_in_which_nothing_would_move_is_refused(arm, tmp_path):
+def test_implausible_time_units_are_refused(arm, tmp_path):
     wrong = write(tmp_path, "wrong.csv", time_s=1e3 * T, tip_x=TURN, tip_y=-TURN)
     with pytest.raises(DataError, match=r"rows are 5 s apart.* call the column t_ms"):
         read(arm, wrong)
@@ -298,7 +298,7 @@ def test_a_unit_in_which_nothing_would_move_is_refused(arm, tmp_path):
     np.testing.assert_allclose(read(arm, right).points["t"], T)
 
 
-def test_one_joint_among_others_is_no_encoder(arm, tmp_path):
+def test_encoder_counts_in_one_joint_alone_are_refused(arm, tmp_path):
     tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=-TURN)
     angles = {"j1_deg": 40 * TURN, "j2_deg": -60 * TURN}
     mixed = write(tmp_path, "mixed.csv", t=T, **angles, j3_deg=2048 + 500 * TURN)

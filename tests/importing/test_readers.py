@@ -1,4 +1,4 @@
-"""Files of other programs, made by their packages or in their layout, are read."""
+"""Import of files in the formats of other programs."""
 
 import json
 import pickle
@@ -64,7 +64,7 @@ def lerobot(folder, names):
     return folder
 
 
-def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
+def test_lerobot_episodes_and_states_are_read(tmp_path):
     folder = lerobot(
         tmp_path / "set",
         {"motors": ["shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos"]},
@@ -80,13 +80,13 @@ def test_a_dataset_of_lerobot_has_its_episodes_and_states(tmp_path):
     track.to_csv(tmp_path / "tracker.csv", index=False)
     files = read_recordings([folder, tmp_path / "tracker.csv"])
     names = {"q1": "shoulder_pan", "q2": "-shoulder_lift+90", "q3": "elbow_flex"}
-    # LeRobot's default unit is a share of the calibrated range, -100 to 100
+    # LeRobot's default unit is per cent of the calibrated range, -100 to 100
     for hints in (ColumnHints(columns=[*names.items()]), ColumnHints()):
         with pytest.raises(DataError, match=r"set: .*use_degrees.*Give --deg"):
             gather_tables(files, hints)
-    what = gather_tables(files, ColumnHints(columns=[*names.items()], degrees=True))
-    assert sorted(what.motion["trial"].unique()) == ["t0", "t1"]
-    one = what.motion[what.motion["trial"] == "t1"]
+    tables = gather_tables(files, ColumnHints(columns=[*names.items()], degrees=True))
+    assert sorted(tables.motion["trial"].unique()) == ["t0", "t1"]
+    one = tables.motion[tables.motion["trial"] == "t1"]
     np.testing.assert_allclose(one["q2"], np.radians(90 - 10.0 * np.arange(FRAMES)))
     np.testing.assert_allclose(one["t"], np.arange(FRAMES) / 30)
     unnamed = gather_tables(files, ColumnHints(degrees=True))
@@ -106,7 +106,7 @@ def test_ros_messages_are_read_by_topic(tmp_path):
                 "stamp": {"sec": 1_700_000_000, "nanosec": n * 10_000_000},
                 "frame_id": "",
             }
-            # as UR's driver does, in an order that is not the arm's and changes
+            # as UR's driver: not in the order of the arm, and changing
             named = [("elbow_joint", 0.3), ("wrist_1_joint", 0.4)]
             named.append(("shoulder_lift_joint", 0.1 * n))
             named = named[n % 2 :] + named[: n % 2]
@@ -124,17 +124,17 @@ def test_ros_messages_are_read_by_topic(tmp_path):
                 {"header": header, "point": {"x": 0.1 * n, "y": 9.0, "z": 0.5}},
             )
         made.finish()
-    what = gather_tables(
+    tables = gather_tables(
         read_recordings([tmp_path / "bag.mcap"]), ColumnHints(plane="x,z")
     )
-    np.testing.assert_allclose(what.motion["q1"], 0.1 * np.arange(FRAMES))
-    np.testing.assert_allclose(what.motion["q2"], 0.3)
-    np.testing.assert_allclose(what.motion["q3"], 0.4)
+    np.testing.assert_allclose(tables.motion["q1"], 0.1 * np.arange(FRAMES))
+    np.testing.assert_allclose(tables.motion["q2"], 0.3)
+    np.testing.assert_allclose(tables.motion["q3"], 0.4)
     np.testing.assert_allclose(
-        what.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)]
+        tables.points[["x", "y"]], [[0.1 * n, 0.5] for n in range(FRAMES)]
     )
     np.testing.assert_allclose(
-        what.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6
+        tables.points["t"] - 1.7e9, 0.01 * np.arange(FRAMES), atol=1e-6
     )
     whole = (tmp_path / "bag.mcap").read_bytes()
     for size in (0, 3, len(whole) // 2):
@@ -166,16 +166,16 @@ def test_json_messages_are_read_by_topic(tmp_path):
                     channel, n * 10**7, json.dumps({"pose": pose}).encode(), n * 10**7
                 )
         made.finish()
-    what = gather_tables(
+    tables = gather_tables(
         read_recordings([tmp_path / "foxglove.mcap"]), ColumnHints(plane="x,z")
     )
     np.testing.assert_allclose(
-        what.motion[["x", "y", "theta"]], [[n, 2, 0] for n in range(FRAMES)]
+        tables.motion[["x", "y", "theta"]], [[n, 2, 0] for n in range(FRAMES)]
     )
-    np.testing.assert_allclose(what.points["t"], 0.01 * np.arange(FRAMES))
+    np.testing.assert_allclose(tables.points["t"], 0.01 * np.arange(FRAMES))
 
 
-def test_deeplabcuts_hdf5_is_read_as_its_csv(tmp_path):
+def test_deeplabcut_hdf5_is_read_like_its_csv(tmp_path):
     for package in ("h5py", "tables"):
         pytest.importorskip(
             package, reason="needs: pip install h5py, and tables to write"
@@ -196,23 +196,23 @@ def test_deeplabcuts_hdf5_is_read_as_its_csv(tmp_path):
 
 
 class Canary:
-    """The call that a pickle makes."""
+    """An object whose unpickling calls print."""
 
     def __reduce__(self):
         return print, ("called",)
 
 
 @pytest.mark.parametrize(
-    "what", [Canary(), [("net", Canary(), "x")], [("net", "tip")], {"a": 1}]
+    "names", [Canary(), [("net", Canary(), "x")], [("net", "tip")], {"a": 1}]
 )
-def test_names_of_hdf5_call_nothing(what, capsys):
+def test_reading_hdf5_names_runs_no_code(names, capsys):
     with pytest.raises((pickle.UnpicklingError, ValueError)):
-        deeplabcut_h5._unpickle_names(pickle.dumps(what))
+        deeplabcut_h5._unpickle_names(pickle.dumps(names))
     assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("name", ["bag.mcap", "dlc.h5"])
-def test_what_is_not_installed_is_named(tmp_path, name, monkeypatch):
+def test_missing_packages_are_named(tmp_path, name, monkeypatch):
     monkeypatch.setattr(
         "stringcast.data.importers.mcap.find_spec", lambda package: None
     )
