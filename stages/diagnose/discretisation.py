@@ -41,12 +41,10 @@ from stringcast.stages.inference.laplace import (
 )
 from stringcast.stages.inference.mesh import (
     extrapolate_errors,
-    residuals_on_meshes,
     simulate_on_meshes,
 )
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
-from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
@@ -181,10 +179,10 @@ def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialDat
     if prepared.mesh_is_model:
         return prepared.data
     model = fit.hypothesis.model
-    meshes = simulate_on_meshes(model, prepared.trials, fit.chi, (1, 2))
+    meshes = simulate_on_meshes(model, prepared.trials, fit.chi[None], (1, 2))
     trials = []
     for k, (coarse, finer) in enumerate(meshes):
-        error = np.nan_to_num(richardson_limit(coarse, finer) - coarse)
+        error = np.nan_to_num(richardson_limit(coarse, finer) - coarse)[0]
         points = prepared.trials[k].points - error
         trial = replace(prepared.data.trials[k], points=points)
         shapes = trial.discrepancy.nuisance_shapes
@@ -253,13 +251,12 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
     hypothesis = fit.hypothesis
     data = prepared.data
     chi, offset = difference_exponents(fit.chi, fit.width)
-    residuals = residuals_on_meshes(hypothesis.model, data.trials, chi, (1, 2))
-
-    errors = []  # of each trial, (1 + P, 2 n)
-    for coarse, fine in zip(*residuals, strict=True):
-        diverged = (coarse == DIVERGED_RESIDUAL) | (fine == DIVERGED_RESIDUAL)
-        error = richardson_limit(coarse, fine) - coarse
-        errors.append(np.where(diverged.any(axis=0), 0.0, error))
+    meshes = simulate_on_meshes(hypothesis.model, data.trials, chi, (1, 2))
+    errors = []  # of each trial over sigma, (1 + P, 2 n)
+    for trial, (coarse, finer) in zip(data.trials, meshes, strict=True):
+        error = (richardson_limit(coarse, finer) - coarse) / trial.sigma[:, None]
+        diverged = np.isnan(error).any(axis=0)
+        errors.append(np.where(diverged, 0.0, error).reshape(len(chi), -1))
     error_m = data.tip_rms_by_trial([error[0] for error in errors])
     uncertainty_m = prepared.discretisation_uncertainty_m
     is_known = uncertainty_m <= MAX_UNCERTAINTY_RATIO * error_m

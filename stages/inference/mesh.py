@@ -16,7 +16,6 @@ import numpy as np
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
@@ -120,16 +119,15 @@ def simulate_on_meshes(
     chi: np.ndarray,
     factors: Sequence[int],
 ) -> list[tuple[np.ndarray, ...]]:
-    """Simulate the measured points of each trial, (n, 2) [m], on meshes so much finer.
+    """Simulate the measured points of each trial, (C, n, 2) [m], on finer meshes.
 
-    chi: exponents, (P,). factors: times as many segments, of each mesh.
+    chi: exponents, (C, P). factors: times as many segments, of each mesh.
     """
-    values = parameter_values(model.parameters, chi[None])
+    values = parameter_values(model.parameters, chi)
     by_mesh = []
     for factor in factors:
         finer, refined = refine_mesh(model, trials, factor)
-        simulated = measured_points(finer, refined, values)
-        by_mesh.append([points[0] for points in simulated])
+        by_mesh.append(measured_points(finer, refined, values))
     return list(zip(*by_mesh, strict=True))
 
 
@@ -149,9 +147,9 @@ def extrapolate_errors(
     """
     errors = []
     uncertainties = []
-    meshes = simulate_on_meshes(model, trials, chi, EXTRAPOLATED_MESHES)
-    for trial, simulated in zip(trials, meshes, strict=True):
-        error, uncertainty = extrapolate_error(*simulated)
+    meshes = simulate_on_meshes(model, trials, chi[None], EXTRAPOLATED_MESHES)
+    for trial, (coarse, finer, finest) in zip(trials, meshes, strict=True):
+        error, uncertainty = extrapolate_error(coarse[0], finer[0], finest[0])
         errors.append(error)
         uncertainties.append((uncertainty / trial.sigma[:, None]).ravel())
     return errors, uncertainties
@@ -167,23 +165,6 @@ def extrapolate_error(
     """
     limit = richardson_limit(finer, finest)
     return limit - coarse, limit - richardson_limit(coarse, finer)
-
-
-def residuals_on_meshes(
-    model: Model,
-    trials: Sequence[PreparedTrial],
-    chi: np.ndarray,
-    factors: Sequence[float],
-) -> list[ByTrial]:
-    """Compute residuals over sigma (C, 2 n) of each trial on finer meshes.
-
-    chi: exponents, (C, P). factors: times as many segments, of each mesh.
-    """
-    by_mesh = []
-    for factor in factors:
-        finer, finer_trials = refine_mesh(model, trials, factor)
-        by_mesh.append(TrialData(finer_trials).residuals(finer, chi))
-    return by_mesh
 
 
 def likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
