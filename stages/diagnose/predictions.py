@@ -118,10 +118,10 @@ def held_out_table(
         }
         for name, predictions in (("base", base), ("extended", extended)):
             prediction = predictions[number]
-            row |= rms_distances(trial, prediction.residual, name)
+            rms_m, tip_rms_m = rms_distances(trial, prediction.residual)
+            row |= {f"rms_{name}": rms_m, f"tip_rms_{name}": tip_rms_m}
             row[f"E_{name}"] = matching_rate(target, prediction)
-        residual = by_known[number].residual
-        row["rms_known"] = rms_distances(trial, residual, "known")["rms_known"]
+        row["rms_known"], _ = rms_distances(trial, by_known[number].residual)
         rows.append(row)
     return HELD_OUT.check(pd.DataFrame(rows))
 
@@ -157,25 +157,15 @@ def tip_errors(
     """Compute the root mean square error at the tip of each trial [m], (K,)."""
     errors_m = []
     for trial, prediction in zip(data.trials, predictions, strict=True):
-        distances = rms_distances(trial, prediction.residual, "trial")
-        errors_m.append(distances["tip_rms_trial"])
+        _, tip_rms_m = rms_distances(trial, prediction.residual)
+        errors_m.append(tip_rms_m)
     return np.array(errors_m)
 
 
-def rms_distances(
-    trial: PreparedTrial,
-    residual: np.ndarray,
-    name: str,
-) -> dict[str, float]:
-    """Compute root mean squares [m] of a residual over sigma, of all and tip points.
-
-    The keys end with a name.
-    """
+def rms_distances(trial: PreparedTrial, residual: np.ndarray) -> tuple[float, float]:
+    """Compute root mean squares [m] of a residual over sigma, of all and tip points."""
     distance = np.linalg.norm(residual.reshape(-1, 2), axis=1) * trial.sigma
-    return {
-        f"rms_{name}": rms(distance),
-        f"tip_rms_{name}": rms(distance[trial.is_tip]),
-    }
+    return rms(distance), rms(distance[trial.is_tip])
 
 
 def matching_target(
@@ -185,7 +175,7 @@ def matching_target(
     matching: Matching,
 ) -> MatchingTarget:
     """Draw some frames of a trial for the matching rate, from its initial state."""
-    (target,) = matching_targets(model, [thin_frames(observation)], matching)
+    (target,) = matching_targets(model, [with_rated_frames(observation)], matching)
     state = trial.initial_state
     thinned = replace(target.trial, initial_state=state, turn=trial.turn)
     return replace(target, trial=thinned)
@@ -199,7 +189,7 @@ def matching_rate(target: MatchingTarget, prediction: TrialPrediction) -> float:
     return float(np.mean(predicted.rates_by_frame(values)[0]))
 
 
-def thin_frames(observation: Observation) -> Observation:
+def with_rated_frames(observation: Observation) -> Observation:
     """Keep some RATED_FRAMES frames of an observation.
 
     They are too far apart to estimate the initial state from.

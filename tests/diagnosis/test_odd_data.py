@@ -24,7 +24,7 @@ from stringcast.stages.diagnose.predictions import (
     TrialPrediction,
     matching_rate,
     matching_target,
-    thin_frames,
+    with_rated_frames,
 )
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.estimate.matching import Matching
@@ -90,7 +90,7 @@ def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_t
 
     Some twenty frames of a trial are too far apart to estimate the state from.
     """
-    count = thin_frames(moving_trial).points["t"].nunique()
+    count = with_rated_frames(moving_trial).points["t"].nunique()
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)
     hypothesis = Hypothesis(model)
