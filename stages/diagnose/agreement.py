@@ -33,7 +33,7 @@ from stringcast.stages.diagnose.left_out_fits import (
 from stringcast.stages.diagnose.measures import refit, trials_touched_by
 from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.inference.laplace import Fit
-from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
+from stringcast.stages.inference.solver import residual_changes
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
@@ -86,8 +86,7 @@ def _white_shifts(
     shifts = []
     for rows in simulated:
         present, without = np.split(rows, 2)
-        diverged = (present == DIVERGED_RESIDUAL) | (without == DIVERGED_RESIDUAL)
-        shifts.append(np.where(diverged, 0.0, present - without))
+        shifts.append(residual_changes(present, without))
     return data.for_hypothesis(hypothesis).whiten(shifts, fit.grid_points)
 
 

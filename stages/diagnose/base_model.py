@@ -22,7 +22,12 @@ from stringcast.stages.diagnose.rules import (
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import grid_points_of_scale
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis, log_likelihoods
+from stringcast.stages.inference.laplace import (
+    Fit,
+    fit_hypothesis,
+    hypothesis_likelihood,
+    log_likelihoods,
+)
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
@@ -153,7 +158,6 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
     likely grid points.
     """
     hypothesis = fit.hypothesis
-    extended = data.for_hypothesis(hypothesis)
     sequence = Halton(len(fit.chi), scramble=False)
     others = sequence.random(SCREENED_STRINGS + 1)[1:]  # the first is zero
     residuals = data.residuals(hypothesis.model, others)
@@ -161,13 +165,8 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
     ends = []
     for grid_point in grid_points_of_scale(UNKNOWN_MOTION_M)[1:]:
         grid_points = np.full(len(data.trials), grid_point)
-        likelihood = Likelihood(
-            extended,
-            hypothesis.model,
-            grid_points,
-            uniform_indices=hypothesis.base_indices,
-        )
-        white = extended.whiten(residuals, grid_points)
+        likelihood = hypothesis_likelihood(data, hypothesis, grid_points)
+        white = likelihood.data.whiten(residuals, grid_points)
         other = others[int(np.argmin(np.sum(white**2, axis=1)))]
         run = solver.fit_least_squares(
             likelihood,

@@ -146,10 +146,9 @@ def _shapes_per_metre(
         Over sigma.
     """
     indices = hypothesis.amplitude_indices(cause)
-    step = solver.FIRST_DIFFERENCE
+    offset = solver.difference_offsets(chi[indices], solver.FIRST_DIFFERENCE)
     exponents = np.repeat(chi[None], len(indices) + 1, axis=0)  # the last unchanged
-    signed_steps = np.where(chi[indices] > 0.5, -step, step)
-    exponents[range(len(indices)), indices] += signed_steps
+    exponents[range(len(indices)), indices] += offset
     simulated = data.residuals(hypothesis.model, exponents)
     residuals = [rows[-1:] for rows in simulated]
     changes = [rows[:-1] - rows[-1] for rows in simulated]

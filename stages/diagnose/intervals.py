@@ -12,8 +12,8 @@ from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     posterior_with_background,
 )
-from stringcast.stages.inference.laplace import Fit
-from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
+from stringcast.stages.inference.laplace import Fit, hypothesis_likelihood
+from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.profile import profile_reaches
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.kept_results import keep_results
@@ -91,13 +91,9 @@ def _profile_reaches(
     data: TrialData, fit: Fit, indices: Sequence[int], half_width: float
 ) -> np.ndarray:
     """Compute how far some exponents of a fit reach below and above, (I, 2)."""
-    hypothesis = fit.hypothesis
-    base = hypothesis.base_indices
-    extended = data.for_hypothesis(hypothesis)
-    white_slopes = extended.whiten(fit.slopes, fit.grid_points)
+    likelihood = hypothesis_likelihood(data, fit.hypothesis, fit.grid_points)
+    white_slopes = likelihood.data.whiten(fit.slopes, fit.grid_points)
     precision = white_slopes @ white_slopes.T
+    base = fit.hypothesis.base_indices
     precision[base, base] += PRIOR_PRECISION
-    likelihood = Likelihood(
-        extended, hypothesis.model, fit.grid_points, uniform_indices=base
-    )
     return profile_reaches(likelihood, fit.chi, precision, indices, half_width)

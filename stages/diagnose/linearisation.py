@@ -10,7 +10,7 @@ from stringcast.stages.inference.discrepancy_grid import marginal_log_likelihood
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
-from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, difference_offsets
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 
 
@@ -26,7 +26,7 @@ def difference_exponents(
         The given ones first.
     offset : numpy.ndarray, shape (P,)
     """
-    offset = np.where(chi > 0.5, -width, width)
+    offset = difference_offsets(chi, width)
     return np.concatenate([chi[None], chi + np.diag(offset)]), offset
 
 

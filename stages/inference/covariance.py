@@ -32,6 +32,7 @@ from stringcast.stages.inference.likelihood import (
 )
 from stringcast.stages.inference.solver import (
     FIRST_DIFFERENCE,
+    difference_offsets,
     difference_widths,
     forward_differences,
 )
@@ -95,7 +96,7 @@ def linearise(likelihood: Likelihood, chi: np.ndarray) -> Linearisation:
     residual = likelihood.residuals(chi[None])
     width = np.full((1, len(chi)), FIRST_DIFFERENCE)
     for _ in range(2):  # the first slopes give the widths of the second differences
-        step = np.where(chi > 0.5, -width[0], width[0])
+        step = difference_offsets(chi, width[0])
         slope = forward_differences(likelihood, chi[None], residual, width)
         width = difference_widths(slope, huber_loss(residual, likelihood.limit))
     weight = huber_weights(residual[0], likelihood.limit)

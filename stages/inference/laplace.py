@@ -133,6 +133,21 @@ def fit_hypothesis(
     return evaluate_fit(data, hypothesis, chi, width)
 
 
+def hypothesis_likelihood(
+    data: TrialData, hypothesis: Hypothesis, grid_points: np.ndarray
+) -> Likelihood:
+    """Return the likelihood of a hypothesis at grid points (K,), for the solver.
+
+    Parameters of the base model have their prior; those of causes have none.
+    """
+    return Likelihood(
+        data.for_hypothesis(hypothesis),
+        hypothesis.model,
+        grid_points,
+        uniform_indices=hypothesis.base_indices,
+    )
+
+
 @keep_results
 def best_exponents(
     data: TrialData,
@@ -145,12 +160,11 @@ def best_exponents(
 
     Parameters as of `fit_hypothesis`.
     """
-    data = data.for_hypothesis(hypothesis)
+    likelihood = hypothesis_likelihood(data, hypothesis, grid_points)
+    data = likelihood.data
     model = hypothesis.model
-    uniform = hypothesis.base_indices
 
     # Screen the starts
-    likelihood = Likelihood(data, model, grid_points, uniform_indices=uniform)
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
     runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
@@ -350,13 +364,11 @@ def _residual_slopes(
     cost little in the same batch.
     """
     count = len(chi)
-    offset = np.where(chi > 0.5, -width, width)
+    offset = solver.difference_offsets(chi, width)
     points = np.concatenate([chi + np.diag(offset), further_chi])
     simulated = data.residuals(hypothesis.model, points)
     slopes = []
     for rows, residual in zip(simulated, residuals, strict=True):
-        moved = rows[:count]
-        diverged = (moved == DIVERGED_RESIDUAL) | (residual == DIVERGED_RESIDUAL)
-        change = np.where(diverged, 0.0, moved - residual)
+        change = solver.residual_changes(rows[:count], residual)
         slopes.append(change / offset[:, None])
     return slopes, [rows[count:] for rows in simulated]

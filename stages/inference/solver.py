@@ -270,13 +270,21 @@ def forward_differences(
     zero.
     """
     count, size = chi.shape
-    offset = np.where(chi > 0.5, -width, width)
+    offset = difference_offsets(chi, width)
     points = chi[:, None] + offset[..., None] * np.eye(size)
     moved = problem.residuals(points.reshape(-1, size)).reshape(count, size, -1)
-    start = residual[:, None]
+    return residual_changes(moved, residual[:, None]) / offset[..., None]
+
+
+def difference_offsets(chi: np.ndarray, width: np.ndarray | float) -> np.ndarray:
+    """Choose offsets of exponents (..., P) over a width, away from the nearer bound."""
+    return np.where(chi > 0.5, -width, width)
+
+
+def residual_changes(moved: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Subtract residuals from others; those of diverged runs do not change."""
     diverged = (moved == DIVERGED_RESIDUAL) | (start == DIVERGED_RESIDUAL)
-    change = np.where(diverged, 0.0, moved - start)
-    return change / offset[..., None]
+    return np.where(diverged, 0.0, moved - start)
 
 
 def difference_widths(slope: np.ndarray, loss: np.ndarray) -> np.ndarray:
