@@ -273,7 +273,8 @@ def forward_differences(
     offset = difference_offsets(chi, width)
     points = chi[:, None] + offset[..., None] * np.eye(size)
     moved = problem.residuals(points.reshape(-1, size)).reshape(count, size, -1)
-    return residual_changes(moved, residual[:, None]) / offset[..., None]
+    changes = residual_changes(moved, residual[:, None])
+    return np.asarray(changes / offset[..., None])
 
 
 def difference_offsets(chi: np.ndarray, width: np.ndarray | float) -> np.ndarray:
