@@ -282,7 +282,7 @@ def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
         if abs(chi - absent[index]) <= ABSENCE_TOLERANCE:
             continue
         is_at_end = abs(chi - 0.5) > 0.5 - ABSENCE_TOLERANCE
-        is_too_small = abs(parameter.value(chi)) < parameter.least
+        is_too_small = abs(parameter.value(chi)) < parameter.min_amplitude
         if is_too_small or (is_at_end and not parameter.is_lower_bound):
             return False
     return True

@@ -1,4 +1,4 @@
-"""The planar arm: its geometry and the limits it must keep."""
+"""The planar arm: its geometry and limits."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Arm:
     links : tuple of float
         Link lengths [m], base first.
     base : (float, float)
-        Where joint 1 sits [m].
+        Position of joint 1 [m].
     lowest, highest : tuple of float
         Joint ranges [rad].
     speed : tuple of float
@@ -35,7 +35,7 @@ class Arm:
     Raises
     ------
     ValueError
-        If limits do not belong to the links, or a range is empty.
+        If the number of limits is not that of the links, or a range is empty.
     """
 
     links: tuple[PositiveFloat, ...]
@@ -48,7 +48,7 @@ class Arm:
     tick: Annotated[float, Field(ge=1e-4, le=1.0)]
 
     def __post_init__(self) -> None:
-        """Refuse limits that do not belong to the links."""
+        """Refuse limits that do not fit the links."""
         joints = len(self.links)
         for name in ("lowest", "highest", "speed", "acceleration"):
             count = len(getattr(self, name))
@@ -66,7 +66,7 @@ class Arm:
     def commanded_velocities(self, angles: np.ndarray) -> np.ndarray:
         """Return the velocity commands of a motion, (..., K, J) [rad/s].
 
-        Each is the mean over its tick; the last is zero.
+        Each command is the mean over its tick; the last is zero.
 
         angles: (..., K, J) [rad].
         """
@@ -90,7 +90,7 @@ class Arm:
         positions = np.empty((*angles.shape[:-1], len(self.links) + 1, 2))
         positions[..., 0, :] = self.base
         direction = np.zeros(angles.shape[:-1])
-        # Joint by joint: NumPy is slow along axes as short as these.
+        # A loop over joints, because NumPy is slow along short axes.
         for joint, link in enumerate(self.links):
             direction += angles[..., joint]
             x, y = positions[..., joint, 0], positions[..., joint, 1]
@@ -109,7 +109,7 @@ class Arm:
         Returns
         -------
         ndarray of shape (..., 3)
-            x [m], y [m] and theta [rad], which is unwrapped along the last link.
+            x [m], y [m] and unwrapped direction theta of the last link [rad].
         """
         hand = self.joint_positions(angles)[..., -1, :]
         theta = np.sum(angles, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Boxes in the plane: the target, obstacles, and who touches them."""
+"""Boxes in the plane, such as targets and obstacles."""
 
 from __future__ import annotations
 
@@ -50,10 +50,7 @@ class Box:
         return crosses
 
     def is_crossed_along(self, path: np.ndarray) -> np.ndarray:
-        """Return whether each segment of paths (..., K, 2) touches the box.
-
-        (..., K - 1) bool.
-        """
+        """Return whether segments of paths (..., K, 2) touch the box, (..., K - 1)."""
         return self.is_crossed_by(path[..., :-1, :], path[..., 1:, :])
 
     def distance_to_centre(self, points: np.ndarray) -> np.ndarray:
@@ -61,7 +58,7 @@ class Box:
         return np.hypot(points[..., 0] - self.x, points[..., 1] - self.y)
 
     def distance_to(self, x: float, y: float) -> float:
-        """Return the distance of a point from the box itself, 0 inside [m]."""
+        """Return the distance of a point from the box [m]; 0 inside."""
         offset = np.abs(np.array([x, y]) - self.centre)
         beyond = np.maximum(offset - self.half_size, 0)
         return float(np.hypot(*beyond))
@@ -70,9 +67,10 @@ class Box:
 def _slab_crossing(
     centre: np.ndarray, half: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the shares of the ways from a to b at which they enter and leave slabs.
+    """Find the fractions of the lines from a to b at which they enter and leave slabs.
 
-    One slab for each coordinate, (..., 2) [m]. +inf and -inf for never.
+    There is one slab for each coordinate. a, b: (..., 2) [m]. A line that misses a slab
+    enters at +inf and leaves at -inf.
     """
     way = b - a
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -21,7 +21,7 @@ UNDISTORTION_ITERATIONS = 30  # of a fixed point, which converges for |k1| r^2 <
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera that looks at the plane of motion, squarely but for `tilt`.
+    """A camera that looks at the plane of motion, at right angles except for `tilt`.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class Camera:
         Radial coefficient k1 of r' = r (1 + k1 r^2), r from the image centre in
         half-widths.
     rotation : float
-        By which the world is seen turned, counter-clockwise [rad].
+        Counter-clockwise rotation of the world in the picture [rad].
     tilt : (float, float)
-        Of the plane about the camera's x and y [rad].
+        Tilt of the plane about the camera's x and y [rad].
     lens : Lens, optional
-        As measured by a calibration, instead of `distortion`.
+        Calibrated lens, instead of `distortion`.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class Camera:
     lens: Lens | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what says two things at once, or half of one."""
+        """Refuse contradictory or incomplete settings."""
         if self.lens is not None and self.distortion != 0.0:
             raise ValueError(
                 "a lens has its own distortion: set camera.distortion to 0"
@@ -169,6 +169,6 @@ class Camera:
 
 
 def _map_through_plane(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Map points (..., 2) to (..., 3) by a (3, 3) map of planes."""
+    """Map points (..., 2) to (..., 3) by a (3, 3) projection matrix."""
     mapped: np.ndarray = np.asarray(points) @ plane[:, :2].T + plane[:, 2]
     return mapped

@@ -1,31 +1,27 @@
-"""Effects: one physical cause is one class in one file.
+"""Base classes of effects: each physical cause is one class in one file.
 
-With its law, parameters, description, reference and picture. A file of
-`stages/model/effects/` (or of the folder `effects` of a plugin) holds one class and is
-called like it. From it come the name, the parameters with units and bounds, the law,
-its description and picture for a report, its reference, and the invariants that tests
-hold it to. An effect whose parameters are at their start is absent. `effects/README.md`
+The files lie in `stages/model/effects/` or in the folder `effects` of a plugin. File
+and effect have the same name. The class holds the parameters with units and ranges, the
+law, a description and a picture for a report, the reference, and invariants that tests
+check. An effect whose parameters are at their start is absent. `effects/README.md`
 shows how to write one.
 
-There is a base class for each place where something can be other than the paper says:
-on the string (`StringEffect`), in the hand (`HandEffect`), in the camera
-(`CameraEffect`), between their clocks (`ClockEffect`), or in the model's own making
-(`ModelChange`).
+The base class depends on where the cause acts: on the string (`StringEffect`), the hand
+(`HandEffect`), the camera (`CameraEffect`), the clocks (`ClockEffect`) or the mesh of
+the model (`ModelChange`).
 
 The laws of the string run in the hot loop. They are static methods named after the
-slots of `engine/law_slots.py`, take by name any of their slot's arguments and any
-parameter (their own, what they derive from them, or one of the paper's), and are
-written for one candidate and one place, in arithmetic and NumPy functions without
-branches. They return what they add. Everything is per mass per length, so that a law
-knows nothing of mass points.
+slots of `engine/law_slots.py`. A law takes by name any argument of its slot and any
+parameter: its own, a derived one, or one of the paper's. It is written for one
+candidate and one place, in arithmetic and NumPy functions without branches, and returns
+the term it adds. Terms are per mass per length, so a law does not depend on the mesh.
 
-A law with memory is two: `hinge_memory` returns the memory of a hinge after its
-curvature has changed by `change` within `dt`, from the memory before, and
-`hinge_memory_moment` its moment; `grasp_memory` and `grasp_memory_moment` do so for the
-grasp and its angle. The memory of a string that hangs at rest is empty, for the swings
-that die down there leave it on neither side; one that is released elsewhere was pulled
-there slowly, and remembers `hinge_memory(memory=0, change=curvature -
-curvature_at_rest, dt=inf)`.
+A law with memory has two methods. `hinge_memory` updates the memory of a hinge whose
+curvature changes by `change` within `dt`; `hinge_memory_moment` returns its moment.
+`grasp_memory` and `grasp_memory_moment` do so for the grasp and its angle. A string
+that hangs at rest has no memory, because decaying swings leave none. A string released
+elsewhere was pulled there slowly: its memory is `hinge_memory(memory=0,
+change=curvature - curvature_at_rest, dt=inf)`.
 """
 
 from __future__ import annotations
@@ -71,7 +67,7 @@ else:
 
 Values = Mapping[str, float]  # of parameters, by name
 
-# All that an effect's file imports, beside NumPy.
+# Everything that an effect's file imports, except NumPy.
 __all__ = [
     "Axes",
     "Camera",
@@ -103,7 +99,7 @@ __all__ = [
 
 
 class Effect(ABC):
-    """Base of all effects, which are never instantiated: the class is the effect.
+    """Base class of all effects. The class is the effect; it has no instances.
 
     Attributes
     ----------
@@ -112,7 +108,7 @@ class Effect(ABC):
     parameters : tuple of Parameter
         With units and ranges. At their start the effect is absent.
     reference : str
-        Where the law is from.
+        Source of the law.
     invariants : tuple of Invariant
         Properties of the laws, which tests check on samples.
     law_names : tuple of str
@@ -120,11 +116,10 @@ class Effect(ABC):
     exclusion_reason : str
         Why a diagnosis does not look for it; empty if it does.
     varies_between_trials : bool
-        It comes with how the string was picked up or handled before, and may differ
-        from trial to trial.
+        Whether the effect depends on how the string was picked up or handled, and so
+        may differ between trials.
     order : int
-        Of effects on hand, clocks or camera, those of a lower order act first, whatever
-        the order in which they are named.
+        Effects on hand, clocks or camera act in ascending order.
     """
 
     name: ClassVar[str]
@@ -144,7 +139,7 @@ class Effect(ABC):
     @classmethod
     @abstractmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw a small picture of the law, in named axes."""
+        """Draw a small picture of the law, in labelled axes."""
 
     @classmethod
     @cache
@@ -156,7 +151,7 @@ class Effect(ABC):
 
     @classmethod
     def qualified_name(cls, parameter: Parameter) -> str:
-        """Name a parameter among those of all effects: the paper's own stand alone."""
+        """Prefix a parameter's name with the effect's, unless the paper names it."""
         return parameter.name if parameter.symbol else f"{cls.name}.{parameter.name}"
 
     @classmethod
@@ -166,19 +161,19 @@ class Effect(ABC):
 
 
 class StringEffect(Effect):
-    """An effect on the string, by laws that only ever add. Subclasses are final.
+    """An effect on the string, by laws that add terms. Subclasses are final.
 
-    Its laws are named after slots. How stiff inner forces and air resistance are is
-    found by sampling them. A load that rises steeply with place, or with speed near
-    rest, declares it by a static method `bound(**parameters)`: what it adds at most to
-    the squared frequency [1/s^2] and the damping rate [1/s] of a mass, each (C,).
+    Its laws are named after slots. The step is bounded by sampling their slopes. A load
+    that rises steeply with place, or with speed near rest, needs a static method
+    `bound(**parameters)`: its largest contributions to the squared frequency [1/s^2]
+    and the damping rate [1/s] of a mass, (C,) each.
     """
 
     law_names = tuple(SLOTS)
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the first law over an argument of its slot, or the loop of a memory."""
+        """Draw the first law over an argument of its slot, or a hysteresis loop."""
         derived = cls.derive_parameters(**values)
         by_unit = {p.unit: values[p.name] for p in cls.parameters}
         of_a_point = any(p.length_power for p in cls.parameters)
@@ -187,28 +182,28 @@ class StringEffect(Effect):
 
     @staticmethod
     def derive_parameters(*_: Quantity, **parameters: Quantity) -> dict[str, Quantity]:
-        """Derive quantities of the parameters alone that laws need.
+        """Derive quantities that laws need from the parameters.
 
-        Computed once for each candidate, and not in the loop.
+        They are computed once for each candidate, outside the loop.
         """
         return {}
 
 
 class HandEffect(Effect):
-    """An effect between what the arm reports and where the grasp really is.
+    """An effect between the reported and the actual motion of the hand.
 
-    Laws are joints(t, angles, **parameters), which returns the joint angles that really
-    happened, and/or grasp(t, pose, **parameters), which returns the pose of the grasp
-    that really happened. With joint angles the first is used, with poses of the grasp
-    the second. t: (K,) [s]. angles: (1 or C, K, J) [rad]. pose: (1 or C, K, 3) [m],
-    [m], [rad]. Parameters are (C, 1, 1). Subclasses are final.
+    The law joints(t, angles, **parameters) returns the actual joint angles; grasp(t,
+    pose, **parameters) returns the actual pose of the grasp. One is enough. The arm's
+    report decides which applies: joint angles or poses. t: (K,) [s]. angles: (1 or C,
+    K, J) [rad]. pose: (1 or C, K, 3) [m], [m], [rad]. Parameters are (C, 1, 1).
+    Subclasses are final.
     """
 
     law_names = ("joints", "grasp")
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the actual swing of a joint, and the reported one dashed."""
+        """Draw the actual swing of a joint, with the reported one dashed."""
         effect_plots.draw_joint_swing(axes, cls.laws()["joints"], list(values.values()))
 
 
@@ -220,7 +215,7 @@ class ClockEffect(Effect):
     @staticmethod
     @abstractmethod
     def times(t: np.ndarray, *_: Quantity, **parameters: Quantity) -> np.ndarray:
-        """Return times of the arm's clock at times of the camera's.
+        """Convert times of the camera's clock to the arm's clock.
 
         Parameters
         ----------
@@ -237,7 +232,7 @@ class ClockEffect(Effect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the difference over time."""
+        """Draw the difference of the clocks over time."""
         t = np.linspace(0.0, 1.0, 2)
         gained = cls.times(t, **values) - t
         labels = "camera's clock / s", "arm's clock less that / s"
@@ -245,18 +240,18 @@ class ClockEffect(Effect):
 
 
 class CameraEffect(Effect):
-    """An effect between where points are and where the camera reports them.
+    """An effect between actual and reported positions of points.
 
     Subclasses are final.
 
     Attributes
     ----------
     corrected_by_calibration : bool
-        A calibrated lens leaves nothing of it, so that a diagnosis does not look for
-        it.
+        Whether a calibrated lens removes the effect, so that a diagnosis does not look
+        for it.
     uses_velocity : bool
-        `observe` depends on the velocity. Otherwise that may be zero, which saves two
-        thirds of the simulated moments.
+        Whether `observe` depends on the velocity. If not, a third of the simulated
+        times is enough.
     """
 
     law_names = ("observe",)
@@ -278,11 +273,11 @@ class CameraEffect(Effect):
         Parameters
         ----------
         points, velocity : ndarray of shape (C, F, n, 2)
-            True ones at the frame times [m], [m/s].
+            Actual positions [m] and velocities [m/s] at the frame times.
         times : ndarray of shape (F,)
             Frame times [s].
         camera : Camera
-            The camera as it is taken to be.
+            Nominal camera.
         **parameters : ndarray of shape (C, 1, 1, 1)
             Parameters of the effect.
 
@@ -299,12 +294,12 @@ class CameraEffect(Effect):
 
 
 class ModelChange(Effect):
-    """Something wrong with the model's own making: another number of mass points."""
+    """An error of the model itself: too few mass points."""
 
     @staticmethod
     @abstractmethod
     def points(points: int) -> int:
-        """Return the number of mass points instead of so many."""
+        """Return the number of mass points that replaces `points`."""
 
 
 EffectT = TypeVar("EffectT", bound=Effect)
@@ -312,40 +307,39 @@ EffectT = TypeVar("EffectT", bound=Effect)
 
 @cache
 def numbered_effect(effect: type[EffectT], number: int) -> type[EffectT]:
-    """Return the effect under a numbered name: several of a kind can be active."""
+    """Return a copy of the effect with a numbered name, to use several."""
     class_name = f"{effect.__name__}{number}"
     members = {"name": f"{effect.name}_{number}"}
     return cast("type[EffectT]", type(class_name, (effect,), members))
 
 
 def amplitude_parameters(effect: type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that are an effect's size.
+    """Return the parameters that set an effect's size.
 
-    Its first, and others in the same unit, which are other components of a vector.
+    They are the first parameter and, as components of a vector, others in its unit.
     """
     return tuple(p for p in effect.parameters if p.unit == effect.parameters[0].unit)
 
 
 def moment_percent_of_weight(moment: float) -> float:
-    """Express a moment in per cent of the one that holds 100 mm of string out level.
+    """Express a moment in per cent of the one that holds 100 mm of string level.
 
-    moment: over mass per length [m3/s2].
+    moment: moment over mass per length [m3/s2].
     """
     return 100 * moment / (GRAVITY_M_S2 * 0.1**2 / 2)
 
 
 @cache
 def is_position_dependent(effect: type[Effect]) -> bool:
-    """Return whether one of an effect's laws depends on where the string is."""
+    """Return whether one of an effect's laws depends on the place of the string."""
     place = {"x", "y"} - {parameter.name for parameter in effect.parameters}
     return any(place & set(law_arguments(law)) for law in effect.laws().values())
 
 
 @cache
 def acts_abruptly(effect: type[Effect]) -> bool:
-    """Return whether an effect sets in or turns at moments that steps must catch.
+    """Return whether an effect has kinks, where the error of a step is of first order.
 
-    So do contacts, and memory where the motion turns back: the error of a step is of
-    first order there.
+    Contacts have kinks at impact, and memory where the motion reverses.
     """
     return has_memory(effect.laws()) or is_position_dependent(effect)

@@ -1,4 +1,4 @@
-"""How effects draw their laws, in labelled axes."""
+"""Plots of the laws of effects, in labelled axes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from stringcast.stages.model.engine.law_slots import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LABEL_CHARACTERS = 28  # of a line that is no longer than an axis is high
+LABEL_CHARACTERS = 28  # a line of the vertical label fits the height of the axes
 
-# How far arguments go in a fast cast of a soft string, by unit; stretch has none.
+# Range of arguments in a fast cast of a soft string, by unit.
 ARGUMENT_RANGES = {
     "1": 0.01,
     "1/s": 10.0,
@@ -32,12 +32,12 @@ ARGUMENT_RANGES = {
     "rad": 1.0,
     "rad/s": 10.0,
 }
-# of the string's place and speed, and of time
+# Place and speed of the string, and time.
 ARGUMENT_RANGES |= {"m": 1.0, "m/s": 10.0, "s": 1.0}
 
 
 def draw_line(axes: Axes, x: np.ndarray, y: np.ndarray, across: str, up: str) -> None:
-    """Draw y over x, with zero in view and the axes named."""
+    """Draw y over x, with a line at zero and labelled axes."""
     axes.plot(x, np.broadcast_to(y, np.shape(x)))
     axes.axhline(0.0, linewidth=0.5, color="0.6")
     axes.set_xlabel(across)
@@ -51,23 +51,23 @@ def draw_law(
     by_unit: Mapping[str, float],
     of_a_point: bool,
 ) -> None:
-    """Draw the first of an effect's laws over the first argument of its slot it takes.
+    """Draw an effect's first law over the first slot argument that it takes.
 
     Both components of a vector are drawn.
 
     Parameters
     ----------
     axes : matplotlib Axes
-        Where to draw.
+        Axes to draw in.
     laws : mapping of str to law
         The effect's laws, by slot.
     values : mapping of str to float
-        Values of parameters and what is derived of them. A parameter of the paper's
-        that is not given is one.
+        Values of parameters and of derived quantities. A parameter of the paper that is
+        not given is 1.
     by_unit : mapping of str to float
         Values by their units.
     of_a_point : bool
-        The values are per mass point, not of the material.
+        Whether the values are per mass point instead of material properties.
     """
     if has_memory(laws):
         draw_hysteresis(axes, laws, values, by_unit)
@@ -87,7 +87,7 @@ def draw_law(
     arguments |= dict.fromkeys(set(argument_names) - {"length"}, 0.0)
     arguments |= {**values, across: x}
     y = law(**select_arguments(law, arguments))
-    # over mass per length: the unit says it
+    # The unit shows that it is over mass per length.
     quantity = SLOTS[slot].quantity.removesuffix(" over mass per length")
     unit = "of a mass point" if of_a_point else f"[{SLOTS[slot].unit}]"
     for component in y if isinstance(y, tuple) else (y,):
@@ -100,10 +100,10 @@ def draw_hysteresis(
     values: Mapping[str, float],
     by_unit: Mapping[str, float],
 ) -> None:
-    """Draw the moment of a hinge or a grasp with a memory, bent there and back.
+    """Draw the hysteresis loop of a hinge or a grasp with memory.
 
-    It is bent by three times the parameter in the unit of its bending, or by 1 if there
-    is none. The five parts of the way take five times the parameter in seconds.
+    Its bend swings over three times the parameter in the unit of the bend, or 1 if
+    there is none. The five strokes take five times the parameter in seconds.
     """
     slots = [slots for slots in MEMORY_SLOTS.values() if slots[0] in laws]
     memory_slot, moment_slot, bend = slots[0]
@@ -111,11 +111,11 @@ def draw_hysteresis(
     reach = 3 * by_unit.get(unit, 1 / 3)
     turns = np.interp(np.linspace(0.0, 5.0, 501), np.arange(6), [0, 1, 0, -1, 0, 1])
     bends = reach * turns
-    lapse = by_unit.get("s", 1.0) / 100
+    duration = by_unit.get("s", 1.0) / 100
     update, moment_law = laws[memory_slot], laws[moment_slot]
     memory, moments = 0.0, []
     for change in np.diff(bends, prepend=0.0):
-        known = {**values, "memory": memory, "change": change, "dt": lapse}
+        known = {**values, "memory": memory, "change": change, "dt": duration}
         memory = update(**select_arguments(update, known))
         known["memory"] = memory
         moments.append(moment_law(**select_arguments(moment_law, known)))
@@ -123,9 +123,9 @@ def draw_hysteresis(
 
 
 def draw_joint_swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
-    """Draw what joints do while a swing there and back of all of them is reported.
+    """Draw the actual motion of joints for a reported sine of all of them.
 
-    values: of the law's parameters, one for each joint or one for all.
+    values: the law's parameters, one for each joint or one for all.
     """
     t = np.linspace(0.0, 1.0, 201)
     reported = 0.2 * np.sin(2 * np.pi * t)
@@ -143,7 +143,7 @@ def draw_joint_swing(axes: Axes, joints: Law, values: Sequence[float]) -> None:
 def draw_observed_grid(
     axes: Axes, observe: Callable[..., np.ndarray], **values: float
 ) -> None:
-    """Draw a square grid, dashed, and as a camera effect's law reports it."""
+    """Draw a square grid, dashed, and its image by a camera effect's law."""
     camera = Camera(200, 200, 100.0, (99.5, 99.5), 1.0)
     x, y = np.linspace(-0.9, 0.9, 5), np.linspace(-0.9, 0.9, 41)
     lines = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)

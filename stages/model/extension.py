@@ -1,4 +1,4 @@
-"""Extension of a model by the effects whose parameters an estimate holds."""
+"""Extension of a model by the effects that its parameter names need."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from stringcast.stages.model.model import Model
 
 
 def extend_model(model: Model, parameter_names: Iterable[str]) -> Model:
-    """Add the effects that own these parameters, unless they are active.
+    """Add the effects that own these parameters, except active ones.
 
     Parameters
     ----------
     model : Model
-        The model without them.
+        The model to extend.
     parameter_names : iterable of str
         Qualified names, such as `tip_mass.ratio`. Those of the string have no dot.
 
     Returns
     -------
     Model
-        With one parameter of each name.
+        The model with all these parameters.
     """
     known = {effect.name for effect in model.effects}
     names = dict.fromkeys(

@@ -15,9 +15,9 @@ from stringcast.stages.model.effect import HandEffect
 
 interpolate = LazyModule("scipy.interpolate")
 
-# Between samples of the hand's motion: the paper's control period.
+# The control period in the paper.
 HAND_TICK_S = 0.005
-# Rest after which nothing lags any more; a film may go on for much longer.
+# Every lag has decayed after this rest. A film may continue for much longer.
 MAX_LAG_S = 0.5
 # An effect and its parameters, (C, 1, 1) each.
 HandEffectValues = tuple[type[HandEffect], Mapping[str, np.ndarray]]
@@ -62,13 +62,13 @@ class HandMotion:
         return float(self.times[-1])
 
     def for_candidates(self, chosen: np.ndarray) -> HandMotion:
-        """Return the motions of some candidates, by number, or the one they share."""
+        """Return the motions of some candidates, by number, or the shared motion."""
         if len(self.pose) == 1:
             return self
         return replace(self, pose=self.pose[chosen], rate=self.rate[chosen])
 
     def with_ticks(self, count: int) -> HandMotion:
-        """Return the motion with so many poses: cut, or followed by rest."""
+        """Cut the motion to `count` poses, or append rest."""
         missing = max(count - self.tick_count, 0)
         pose, rate = append_rest_ticks(
             self.pose[:, :count], self.rate[:, :count], missing
@@ -76,19 +76,19 @@ class HandMotion:
         return replace(self, pose=pose, rate=rate)
 
     def extended_until(self, until: float) -> HandMotion:
-        """Append rest until a time [s], or as long as anything lags behind."""
+        """Append rest until a time [s], for `MAX_LAG_S` at most."""
         missing = _rest_ticks(until - self.end, self.tick)
         return self.with_ticks(self.tick_count + missing)
 
     def starting_at(self, begin: float | np.ndarray) -> HandMotion:
-        """Return the motion from a moment on, from which time then counts.
+        """Return the motion from a time on, with that time as its zero.
 
-        Before its first pose and after its last the hand rests.
+        The hand rests before its first pose and after its last.
 
         Parameters
         ----------
         begin : float or ndarray of shape (C,)
-            The moment [s], or one for each candidate.
+            The time [s], or one for each candidate.
         """
         if np.ndim(begin) > 0:
             return self._read_from(np.asarray(begin))
@@ -99,11 +99,11 @@ class HandMotion:
         return self._motions_by_begin[moment]
 
     def _read_from(self, begin: np.ndarray) -> HandMotion:
-        """Return the motion from a moment of each candidate on, (1 or C,) [s]."""
+        """Return the motion from a time of each candidate on, (1 or C,) [s]."""
         remaining = (self.end - np.min(begin)) / self.tick
         count = max(int(np.ceil(remaining - 1e-9)), 1) + 1
         first = (np.reshape(begin, (-1, 1)) - self.start) / self.tick
-        ticks = first + np.arange(count)  # (C, count), as of the known poses
+        ticks = first + np.arange(count)  # (C, count), relative to the known poses
         last = self.tick_count - 1
         place = np.clip(ticks, 0, last)
         before = np.minimum(place.astype(int), last - 1)
@@ -118,7 +118,7 @@ class HandMotion:
 
     @cached_property
     def _motions_by_begin(self) -> dict[float, HandMotion]:
-        """Motions from a moment on that were asked for: a fit needs the same ones."""
+        """Cache of motions from a time on: a fit uses the same ones again."""
         return {}
 
     @cached_property
@@ -173,7 +173,7 @@ class JointMotion:
         return self.start + self.tick * np.arange(self.angles.shape[1])
 
     def extended_until(self, until: float) -> JointMotion:
-        """Append rest until a time [s], or as long as anything lags behind."""
+        """Append rest until a time [s], for `MAX_LAG_S` at most."""
         missing = _rest_ticks(until - self.times[-1], self.tick)
         angles, speeds = append_rest_ticks(self.angles, self.speeds, missing)
         return JointMotion(self.start, self.tick, angles, speeds)
@@ -245,7 +245,7 @@ def _resample(
 ) -> tuple[float, float, np.ndarray, np.ndarray]:
     """Return start, tick, values and rates, from first to last sample.
 
-    At least two. values: (B, K, ...).
+    There are at least two values, (B, K, ...).
     """
     ticks = np.floor((t[-1] - t[0]) / tick + 1e-9)
     count = max(int(ticks) + 1, 2)
@@ -255,13 +255,13 @@ def _resample(
 
 
 def _rest_ticks(seconds: float, tick: float) -> int:
-    """Count the ticks of rest for further seconds, or as long as anything lags."""
+    """Count the ticks in further seconds, at most `MAX_LAG_S`."""
     ticks = np.clip(seconds, 0.0, MAX_LAG_S) / tick
     return int(np.ceil(ticks - 1e-9))
 
 
 def append_rest_ticks(value: np.ndarray, rate: np.ndarray, count: int) -> ValueAndRate:
-    """Append rest on further ticks to value and rate, (B, K, ...) each."""
+    """Append ticks of rest to value and rate, (B, K, ...) each."""
     held = value[:, -1:].repeat(count, axis=1)
     still = np.zeros_like(rate[:, -1:]).repeat(count, axis=1)
     values = np.concatenate([value, held], axis=1)
@@ -278,8 +278,8 @@ def _apply_law(
 ) -> ValueAndRate:
     """Apply a law to value and rate, (B, K, ...) each.
 
-    It is applied only to candidates in which the effect is present. The rate of its
-    change is that of a cubic spline through the change.
+    Candidates without the effect are skipped. A cubic spline through the change of the
+    value gives the change of the rate.
     """
     differs = [parameters[p.name].ravel() != p.start for p in effect.parameters]
     present = np.any(differs, axis=0)

@@ -1,7 +1,7 @@
 """Invariants: properties of a law that an effect declares and tests check on samples.
 
-`error` takes the law's arguments as arrays (a sample an entry) and returns how far the
-law is from keeping its word, as a share of the law's size.
+`error` takes the law's arguments as arrays, one entry for each sample. It returns the
+violation of the property relative to the law's size.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import numpy as np
 
 LawArguments = Mapping[str, Any]
 EvaluatedLaw = Callable[[LawArguments], np.ndarray]
-TEST_ROTATION_RAD = 0.7  # by which directions are tried
-TEST_SHIFT = 0.37  # by which an argument is tried
+TEST_ROTATION_RAD = 0.7
+TEST_SHIFT = 0.37
 
 
 class Invariant(ABC):
@@ -27,7 +27,7 @@ class Invariant(ABC):
     law : str
         Name of the law.
     sentence : str
-        What holds.
+        The property in words.
     """
 
     law: str
@@ -35,7 +35,7 @@ class Invariant(ABC):
 
     @abstractmethod
     def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
-        """Return the deviation of a law on samples, as a share of the law's size."""
+        """Return the violation by a law on samples, relative to the law's size."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Equivariant(Invariant):
     after: Callable[[np.ndarray, LawArguments], np.ndarray]
 
     def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
-        """Return the largest difference between the two changes, relative."""
+        """Return the largest relative difference between the two changed values."""
         plain = np.asarray(law(arguments))
         changed = np.asarray(law({**arguments, **self.before(arguments)}))
         size = max(float(np.abs(plain).max()), 1e-300)
@@ -67,7 +67,7 @@ class Equivariant(Invariant):
 
 @dataclass(frozen=True)
 class Dissipative(Invariant):
-    """A law that takes energy and never gives any: value times rates has one sign.
+    """A law that dissipates energy: the product of value and rates has one sign.
 
     Parameters
     ----------
@@ -76,8 +76,7 @@ class Dissipative(Invariant):
     rates : tuple of str
         Names of the arguments that are rates.
     sign : int
-        1 for inner forces, which resist what stretches and bends, -1 for loads, which
-        act on what moves.
+        1 for inner forces, which resist deformation; -1 for loads, which resist motion.
     """
 
     law: str
@@ -86,7 +85,7 @@ class Dissipative(Invariant):
     sentence: str = "never gives energy"
 
     def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
-        """Return the largest power given, as a share of the largest taken."""
+        """Return the largest power supplied, relative to the largest dissipated."""
         value = np.asarray(law(arguments)).reshape(len(self.rates), -1)
         power = np.zeros(value.shape[1])
         for i, rate in enumerate(self.rates):
@@ -95,25 +94,25 @@ class Dissipative(Invariant):
 
 
 def is_odd(law: str, *names: str) -> Invariant:
-    """Declare that the value changes sign with these arguments, all together."""
+    """Declare that the value changes sign if all these arguments do."""
     sentence = f"{law} is odd in {', '.join(names)}"
     return _scales(law, sentence, names, -1, value_factor=-1)
 
 
 def is_even(law: str, *names: str) -> Invariant:
-    """Declare that the value stays when these arguments change sign, all together."""
+    """Declare that the value is unchanged if all these arguments change sign."""
     sentence = f"{law} is even in {', '.join(names)}"
     return _scales(law, sentence, names, -1, value_factor=1)
 
 
 def vanishes_at_zero(law: str, *names: str) -> Invariant:
-    """Declare that the value is zero where these arguments are."""
+    """Declare that the value is zero if these arguments are zero."""
     sentence = f"{law} is zero at zero {', '.join(names)}"
     return _scales(law, sentence, names, 0, value_factor=0)
 
 
 def reduces_to(law: str, name: str, *others: str) -> Invariant:
-    """Declare that the value is one argument where the others are zero."""
+    """Declare that the value equals one argument if the others are zero."""
     return Equivariant(
         law,
         f"{law} is {name} where {', '.join(others)} are zero",
@@ -123,9 +122,9 @@ def reduces_to(law: str, name: str, *others: str) -> Invariant:
 
 
 def rotates_with(law: str, *vectors: str) -> Invariant:
-    """Declare that no direction is special: the value rotates with these vectors.
+    """Declare that the value rotates with these vectors.
 
-    vectors: names less their x and y.
+    vectors: names without their x and y.
     """
 
     def move_arguments(arguments: LawArguments) -> LawArguments:
@@ -144,12 +143,12 @@ def rotates_with(law: str, *vectors: str) -> Invariant:
 
 
 def resists(law: str) -> Dissipative:
-    """Declare that an inner force takes energy from what stretches or bends."""
+    """Declare that an inner force dissipates energy."""
     return Dissipative(law, ("rate",), 1)
 
 
 def brakes(law: str, *velocity: str) -> Dissipative:
-    """Declare that a load takes energy from what moves.
+    """Declare that a load dissipates energy.
 
     velocity: names of its components.
     """
@@ -157,7 +156,7 @@ def brakes(law: str, *velocity: str) -> Dissipative:
 
 
 def shifts_with(law: str, name: str) -> Invariant:
-    """Declare that no origin is special: the value shifts with this argument."""
+    """Declare that the value shifts with this argument."""
     return Equivariant(
         law,
         f"{law} follows {name}",
@@ -167,7 +166,7 @@ def shifts_with(law: str, name: str) -> Invariant:
 
 
 def moves_with_pose(law: str, name: str) -> Invariant:
-    """Declare that no place is special: the value moves with poses (..., 3)."""
+    """Declare that the value moves with poses (..., 3)."""
     return Equivariant(
         law,
         f"{law} is carried with {name}",
@@ -177,7 +176,7 @@ def moves_with_pose(law: str, name: str) -> Invariant:
 
 
 def rotates_about_centre(law: str) -> Invariant:
-    """Declare that the value rotates with its points about the image's middle."""
+    """Declare that the value rotates with its points about the image centre."""
 
     def rotate_about(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
         x, y = np.moveaxis(points - centre, -1, 0)
@@ -206,7 +205,7 @@ def _scales(
     factor: float,
     value_factor: float,
 ) -> Invariant:
-    """Declare by what the value changes when these arguments change by a factor."""
+    """Declare the factor of the value when these arguments change by a factor."""
     return Equivariant(
         law,
         sentence,

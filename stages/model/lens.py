@@ -1,4 +1,4 @@
-"""A lens: from directions in front of the camera to pixels and back."""
+"""A lens: maps directions in front of the camera to pixels and back."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from stringcast.data.lazy_module import LazyModule
 
 cv2 = LazyModule("cv2")
 
-# of the inversion of the distortion
+# Termination of the inversion of the distortion.
 MAX_STEPS = 100
 TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with Brown's distortion, as OpenCV has it.
+    """A pinhole camera with Brown's distortion, as in OpenCV.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Lens:
 
     @property
     def mean_focal(self) -> float:
-        """Focal length for both directions [px]."""
+        """Geometric mean of both focal lengths [px]."""
         fx, fy = self.focal
         return float(np.sqrt(fx * fy))
 

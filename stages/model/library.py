@@ -1,4 +1,4 @@
-"""The library: every effect there is, found by looking, with nothing to register."""
+"""The library of effects, found in files; nothing is registered."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from stringcast.stages.model import effects as package
 from stringcast.stages.model.effect import Effect, numbered_effect
 from stringcast.stages.plugins import PluginError, import_plugin_module, plugin_files
 
-# Of a model: three times the library; the generated loop nests an expression for each.
+# Three times the library. The generated loop nests one expression for each effect.
 MAX_EFFECTS = 100
 PLUGIN_EFFECTS = "effects/*.py"  # files of effects in the folder of a plugin
 
 
 class UnknownEffectError(ValueError):
-    """There is no effect of that name; the message helps to find one."""
+    """No effect has that name; the message suggests others."""
 
 
 def effects_by_name() -> dict[str, type[Effect]]:
     """Load all effects, by name.
 
-    Those of `stages/model/effects` and of the folders `effects` of plugins.
+    They are in `stages/model/effects` and in the folders `effects` of plugins.
 
-    Raises PluginError for a file that does not hold exactly one effect of its own name,
-    and for two effects of the same name.
+    Raises PluginError if a file does not hold exactly one effect of its own name, or
+    two effects have the same name.
     """
     modules = plugin_files(PLUGIN_EFFECTS)
     effects = {}
@@ -39,7 +39,7 @@ def effects_by_name() -> dict[str, type[Effect]]:
 def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
     """Find effects by name; `maxwell_slip_2` is a second one of its kind.
 
-    Raises UnknownEffectError if there is none of that name, or there are too many.
+    Raises UnknownEffectError if a name is unknown, or there are too many.
     """
     if len(names) > MAX_EFFECTS:
         raise UnknownEffectError(
@@ -55,20 +55,19 @@ def find_effects(names: Sequence[str]) -> tuple[type[Effect], ...]:
 
 
 def check_effect_names(names: Sequence[str]) -> Sequence[str]:
-    """Return names of effects as they are.
+    """Check names of effects, and return them unchanged.
 
-    Raises UnknownEffectError if there is no effect of a name.
+    Raises UnknownEffectError if a name is unknown.
     """
     find_effects(names)
     return names
 
 
 def split_effect_name(name: str) -> tuple[str, int]:
-    """Split a name into kind and number: `maxwell_slip` and 2 of `maxwell_slip_2`.
+    """Split a name into kind and number: `maxwell_slip_2` into `maxwell_slip` and 2.
 
-    The kind is the name of the effect's file.
-
-    Raises UnknownEffectError if there is no such kind.
+    The kind is the name of the effect's file. Raises UnknownEffectError if it is
+    unknown.
     """
     known = effect_files()
     kind, _, number = name.rpartition("_")
@@ -85,9 +84,9 @@ def split_effect_name(name: str) -> tuple[str, int]:
 
 
 def effect_files() -> dict[str, Path]:
-    """Find the file of each effect, by name, none of them loaded.
+    """Find the file of each effect, by name, without loading it.
 
-    Raises PluginError for two effects of the same name.
+    Raises PluginError if two effects have the same name.
     """
     files: dict[str, Path] = {}
     for path in (*_own_files(), *plugin_files(PLUGIN_EFFECTS)):
@@ -102,13 +101,13 @@ def effect_files() -> dict[str, Path]:
 
 @cache
 def _own_files() -> tuple[Path, ...]:
-    """Find the files of the package's own effects, which stay as they are."""
+    """Find the files of the package's own effects, once."""
     return tuple(sorted(Path(package.__path__[0]).resolve().glob("[!_]*.py")))
 
 
 @cache
 def _load_effect(path: Path, plugin_module: str) -> type[Effect]:
-    """Load the one effect of a file, which may be a module of a plugin."""
+    """Load the effect of a file of the package or of a plugin."""
     if plugin_module:
         module = import_plugin_module(plugin_module)
     else:

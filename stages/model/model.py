@@ -1,9 +1,8 @@
-"""The forward model as one: hand, string, clocks and camera, with the effects of each.
+"""The forward model: hand, string, clocks and camera, with the effects on each.
 
-    joint angles -> HAND -> grasp -> STRING -> mass points -> CAMERA -> what is reported
+    joint angles -> HAND -> grasp -> STRING -> mass points -> CAMERA -> reported points
 
-Everything that generates, estimates or diagnoses uses this model. An effect that is
-absent costs nothing.
+Casting, estimation and diagnosis use this model. Absent effects take no time.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ from stringcast.stages.model.string import String
 interpolate = LazyModule("scipy.interpolate")
 
 EffectT = TypeVar("EffectT", bound=Effect)
-VELOCITY_STEP_S = 1e-4  # over which velocities are differenced for the camera
+VELOCITY_STEP_S = 1e-4  # of the central difference for the camera
 
 
 @dataclass(frozen=True)
 class Model(Parametrised):
-    """A string in a hand before a camera.
+    """A string, the hand that holds it, and the camera that observes it.
 
     Parameters
     ----------
@@ -50,14 +49,14 @@ class Model(Parametrised):
     arm : Arm
         Geometry of the arm.
     camera : Camera
-        The camera as it is taken to be.
+        Nominal camera.
     hand_effects, clock_effects, camera_effects : tuple of Effect classes
-        The other effects, in the order in which they act.
+        Effects on hand, clocks and camera, in the order in which they act.
     start_values : mapping of str to float
-        Values at which a search starts instead of a parameter's own start, by qualified
+        Initial values that replace a parameter's own start in a search, by qualified
         name.
     measured_ranges : mapping of str to (float, float)
-        Ranges to which a measurement beforehand narrows parameters, by qualified name.
+        Narrower ranges of parameters from an earlier measurement, by qualified name.
     """
 
     string: String
@@ -79,7 +78,7 @@ class Model(Parametrised):
         return (*self.hand_effects, *self.clock_effects, *self.camera_effects)
 
     def with_effects(self, *effects: type[Effect]) -> Model:
-        """Add effects to the model, each in its place.
+        """Add effects to hand, string, clocks and camera.
 
         Raises ValueError if an effect is active already.
         """
@@ -112,13 +111,13 @@ class Model(Parametrised):
         )
 
     def with_ranges(self, *parameters: Parameter) -> Model:
-        """Return the model with parameters of its string in other ranges."""
+        """Return the model with other ranges of its string's parameters."""
         others = {parameter.name: parameter for parameter in parameters}
         string = replace(self.string, ranges={**self.string.ranges, **others})
         return replace(self, string=string)
 
     def with_segments(self, segments: int) -> Model:
-        """Return the model with its string in so many segments, from a cache."""
+        """Return the model with `segments` segments of its string, from a cache."""
         if segments not in self._meshes:
             string = replace(self.string, points=segments + 1)
             self._meshes[segments] = replace(self, string=string)
@@ -126,7 +125,7 @@ class Model(Parametrised):
 
     @cached_property
     def _meshes(self) -> dict[int, Model]:
-        """Models with other numbers of segments."""
+        """Cache of models with other numbers of segments."""
         return {}
 
     @cached_property
@@ -179,11 +178,9 @@ class Model(Parametrised):
         times : ndarray of shape (F,) or (C, F)
             Times of the arm's clock [s].
         initial : StringState, optional
-            State from which they move, of the same clock. Without it they rest before
-            the hand moves.
+            Initial state, on the arm's clock. Without it the string hangs at rest.
         turn : float
-            On which side of the hand they rest, as in `equilibrium.hanging_shape`
-            [rad].
+            Side of the hand at rest, as in `equilibrium.hanging_shape` [rad].
 
         Returns
         -------
@@ -216,7 +213,7 @@ class Model(Parametrised):
         times : ndarray of shape (F,)
             Times of the camera's clock [s].
         initial : StringState, optional
-            As in `simulate_string`, but a state by the camera's clock.
+            As in `simulate_string`, but on the camera's clock.
         turn : float
             As in `simulate_string`.
 
@@ -236,7 +233,7 @@ class Model(Parametrised):
     def initial_state_on_arm_clock(
         self, initial: StringState | None, values: np.ndarray
     ) -> StringState | None:
-        """Return a state of the camera's clock by the arm's. values: (C, P)."""
+        """Convert a state from the camera's clock to the arm's. values: (C, P)."""
         if initial is None:
             return None
         arm_time = self._arm_times(values, np.array([initial.t]))[..., 0]
@@ -245,20 +242,19 @@ class Model(Parametrised):
     def required_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Return times of the arm's clock at which `observed_points` needs points.
 
-        (M,) or (C, M) [s]. times: (F,) of the camera's clock.
+        They are (M,) or (C, M) [s]. times: (F,) on the camera's clock.
         """
         times = self._arm_times(values, times)
         if not self.camera_uses_velocity:
             return times
-        # Nothing later than the last frame: its string should not depend on whether
-        # velocities are wanted.
+        # Times end with the last frame, so that velocities do not change the string.
         last = times.max(axis=-1, keepdims=True)
         after = np.minimum(times + VELOCITY_STEP_S, last)
         return np.concatenate([times - VELOCITY_STEP_S, times, after], axis=-1)
 
     @property
     def camera_uses_velocity(self) -> bool:
-        """Whether what the camera reports depends on how fast points move."""
+        """Whether reported points depend on velocities."""
         return any(effect.uses_velocity for effect in self.camera_effects)
 
     def _arm_times(self, values: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -301,10 +297,10 @@ class Model(Parametrised):
     def observed_arm(
         self, motion: JointMotion, values: np.ndarray, times: np.ndarray
     ) -> np.ndarray:
-        """Return the arm's joints as the camera reports them, base to hand.
+        """Return the reported positions of the arm's joints, from base to hand.
 
-        (1 or C, F, J + 1, 2) [m]. At rest beyond its motion. The arm is rigid, so no
-        string is simulated. times: (F,) of the camera's clock [s].
+        They are (1 or C, F, J + 1, 2) [m]. The arm rests before and after its motion.
+        No string is simulated. times: (F,) on the camera's clock [s].
         """
         moments = np.atleast_2d(self.required_times(values, times))
         actual = self.joint_motion(motion, values)
@@ -314,7 +310,7 @@ class Model(Parametrised):
         if motions > 1:
             inside = np.broadcast_to(inside, (motions, inside.shape[1]))
         angles = []
-        rows = np.split(inside, motions)  # of each motion, or all of the one
+        rows = np.split(inside, motions)
         for row, angle, speed in zip(rows, actual.angles, actual.speeds, strict=True):
             spline = interpolate.CubicHermiteSpline(ticks, angle, speed)
             angles.append(spline(row))
@@ -330,7 +326,7 @@ class Model(Parametrised):
     ) -> dict[str, np.ndarray]:
         """Return an effect's parameters by their own names.
 
-        The candidates along the first of so many dimensions.
+        Each has `dimensions` dimensions, the first over candidates.
         """
         shape = (-1, *[1] * (dimensions - 1))
         named = self.values_of(effect, values)
@@ -338,8 +334,5 @@ class Model(Parametrised):
 
 
 def _sort_by_order(*effects: type[EffectT]) -> tuple[type[EffectT], ...]:
-    """Sort effects that do not commute as they act in the world.
-
-    To name them in another order changes nothing.
-    """
+    """Sort effects that do not commute by their physical order."""
     return tuple(sorted(effects, key=lambda effect: (effect.order, effect.name)))

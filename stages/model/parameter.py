@@ -1,4 +1,4 @@
-"""A parameter: what it is called, measured in, and where it is sought."""
+"""A parameter: its name, unit, meaning and search range."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ import numpy as np
 class Parameter:
     """A parameter of an effect.
 
-    Ranges with low > 0 are searched in the exponential form of Eq. 3, P = low (high /
-    low)^chi; others evenly in a root of the distance from low, P = low + (high - low)
-    chi^root: by default linearly.
+    A search varies the exponent chi in [0, 1]. If low > 0, the value is P = low (high /
+    low)^chi (Eq. 3). Otherwise it is P = low + (high - low) chi^root, which is linear
+    by default.
 
     Parameters
     ----------
     name, unit, meaning : str
-        What it is.
+        For the user.
     low, high : float
         Search range, in `unit`.
     start : float
-        Value before anything is known.
+        Initial value of a search.
     symbol : str
-        The paper's, empty if it has none.
+        Symbol in the paper, or empty.
     length_power : int
         Power of the segment length that turns the paper's value per mass point into a
         property of the material (see `String.material`).
     root : int
-        Root in which the range is searched evenly.
+        Exponent of chi if `low` is not positive.
     is_lower_bound : bool
-        What is fitted is the least that it may be.
-    least : float
-        Of an amplitude: one that is smaller, but there, is not what its name says.
+        Whether the data only bound the parameter from below.
+    min_amplitude : float
+        For an amplitude: a nonzero value below this has another physical cause.
     """
 
     name: str
@@ -47,19 +47,16 @@ class Parameter:
     length_power: int = 0
     root: int = 1
     is_lower_bound: bool = False
-    least: float = 0.0
+    min_amplitude: float = 0.0
 
     def value(self, chi: np.ndarray) -> np.ndarray:
-        """Return the values at exponents chi in [0, 1] (Eq. 3). Any shape."""
+        """Return the values at exponents chi in [0, 1], in any shape."""
         if self.low > 0:
             return self.low * (self.high / self.low) ** np.asarray(chi)
         return self.low + (self.high - self.low) * np.asarray(chi) ** self.root
 
     def chi(self, value: np.ndarray) -> np.ndarray:
-        """Return the exponents of values, clipped to [0, 1]. Any shape.
-
-        The inverse of `value`.
-        """
+        """Return the exponents of values, clipped to [0, 1]: the inverse of `value`."""
         value = np.asarray(value, dtype=float)
         if self.low > 0:
             ratio = np.maximum(value, 1e-300) / self.low
@@ -71,7 +68,7 @@ class Parameter:
         return exponents
 
     def slope(self, chi: np.ndarray) -> np.ndarray:
-        """Return the slope of values with exponents in [0, 1]. Any shape."""
+        """Return the derivative of `value` with respect to chi."""
         if self.low > 0:
             slope: np.ndarray = np.log(self.high / self.low) * self.value(chi)
             return slope
@@ -80,7 +77,7 @@ class Parameter:
 
 
 def parameter_values(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
-    """Return parameter values at exponents (..., P), Eq. 3."""
+    """Return parameter values at exponents (..., P)."""
     columns = [p.value(chi[..., i]) for i, p in enumerate(parameters)]
     return np.stack(columns, axis=-1)
 
@@ -94,6 +91,6 @@ def parameter_exponents(
 
 
 def parameter_slopes(parameters: Sequence[Parameter], chi: np.ndarray) -> np.ndarray:
-    """Return slopes of parameter values with exponents (..., P)."""
+    """Return derivatives of parameter values with respect to exponents (..., P)."""
     columns = [p.slope(chi[..., i]) for i, p in enumerate(parameters)]
     return np.stack(columns, axis=-1)

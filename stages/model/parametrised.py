@@ -1,4 +1,4 @@
-"""What strings and models share: parameters with qualified names."""
+"""Base class of strings and models: parameters with qualified names."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from stringcast.stages.model.parameter import (
 
 
 class Parametrised:
-    """A string or a model: what has parameters."""
+    """An object with parameters: a string or a model."""
 
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
-        """All of them, with qualified names."""
+        """All parameters, with qualified names."""
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -32,7 +32,7 @@ class Parametrised:
     def values_of(
         self, effect: type[Effect], values: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return an effect's parameters by their own names, (...), of all (..., P)."""
+        """Return an effect's own values by name, from all values (..., P)."""
         parameters = {}
         for parameter in effect.parameters:
             place = self.names.index(effect.qualified_name(parameter))
@@ -52,9 +52,8 @@ class Parametrised:
         return dict(zip(self.names, values.tolist(), strict=True))
 
     def exponents_of_values(self, named: Mapping[str, float]) -> np.ndarray:
-        """Return exponents (P,) of values by name, each within its range here.
+        """Return exponents (P,) of values by name, clipped to this object's ranges.
 
-        So values are carried to a model with other ranges. A parameter that is not
-        named takes its start value.
+        A parameter that is not named takes its start value.
         """
         return parameter_exponents(self.parameters, self.values(named))

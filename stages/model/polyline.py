@@ -1,4 +1,4 @@
-"""Lines of points in the plane: their steps, tangents and normals."""
+"""Step lengths, tangents and normals of polylines."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def step_lengths(points: np.ndarray) -> np.ndarray:
-    """Compute the distances (K - 1,) from each of some points (K, D) to the next."""
+    """Compute the distances (K - 1,) between successive points (K, D)."""
     return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=1))
 
 

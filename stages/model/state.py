@@ -1,4 +1,4 @@
-"""How a string lies and moves at a moment, as the start of a simulation."""
+"""Initial state of a string: its shape and motion at one time."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StringState:
-    """A curve hung from the grasp and how it turns: the state but for strain.
+    """Direction and turn rate of a string along its arc, without strain.
 
-    A string hardly stretches, so its shape and motion are the direction phi(s) of its
-    segments and how fast it turns. A start in these goes along with the hand, wherever
-    a candidate's hand is, and cannot set the string ringing along itself by noise; its
-    stretch each candidate finds from its own tension.
+    A string hardly stretches, so the direction phi(s) of its segments and its rate
+    describe shape and motion. Such a state fits every candidate's hand, and its noise
+    does not excite axial vibration. Each candidate computes the stretch from its own
+    tension.
 
     Parameters
     ----------
@@ -23,12 +23,12 @@ class StringState:
     s : ndarray of shape (M,) or (C, M)
         Rest arc lengths from the stated grasp, increasing [m].
     angle : ndarray of shape (M,) or (C, M)
-        Direction there, continuous from the grasp's [rad].
+        Directions at `s`, unwrapped from the grasp [rad].
     rate : ndarray of shape (M,) or (C, M)
-        Its time derivative [rad/s].
+        Time derivatives of `angle` [rad/s].
     memory_reversal : float or ndarray of shape (C,)
-        What hinges with a memory remember, as a share of the way from a slow pull to
-        this shape, 0, to what they remember once bent far back, 1.
+        Memory of the hinges: 0 after a slow pull to this shape, 1 after bending far
+        back; linear between.
     """
 
     t: float | np.ndarray
@@ -38,10 +38,10 @@ class StringState:
     memory_reversal: float | np.ndarray = 0.0
 
     def times_since_start(self, times: np.ndarray) -> np.ndarray:
-        """Count times (F,) or (C, F) [s] as a simulation from this state does.
+        """Convert times (F,) or (C, F) [s] to those of a simulation from this state.
 
-        They stay the same if all candidates start at one time, else they count from
-        each candidate's own start.
+        They do not change if all candidates share a start time. Otherwise they count
+        from each candidate's own start.
         """
         if np.ndim(self.t) == 0:
             return times
@@ -63,14 +63,14 @@ class StringState:
     ) -> StringState:
         """Extend the state to a string that begins before the stated grasp.
 
-        It bends evenly there.
+        The curvature of the added part is constant.
 
         Parameters
         ----------
         before : ndarray of shape (C,)
-            By how much it begins before the grasp [m].
+            Length before the grasp [m].
         direction, turning : ndarray of shape (C,)
-            Direction where it begins [rad], and its rate [rad/s].
+            Direction at the new beginning [rad], and its rate [rad/s].
         """
         first = np.minimum(-before, self.s[..., 0])
         return replace(
@@ -85,7 +85,7 @@ class StringState:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Find angles [rad] and their rates [rad/s] of segments.
 
-        middles: of the segments, (M,) or (C, M) [m]; the results have that shape.
+        middles: arc lengths of the segments' middles, (M,) or (C, M) [m].
         """
         angles = _interpolate(middles, self.s, self.angle)
         return angles, _interpolate(middles, self.s, self.rate)
@@ -94,7 +94,7 @@ class StringState:
 def _select(
     value: float | np.ndarray, chosen: np.ndarray | slice, shared_dimensions: int
 ) -> float | np.ndarray:
-    """Select candidates of a value, unless it is shared by all."""
+    """Select candidates of a value, unless all share it."""
     if np.ndim(value) == shared_dimensions:
         return value
     return np.asarray(np.asarray(value)[chosen])

@@ -1,10 +1,9 @@
-"""The string: its mass points and its effects; `engine.simulate` moves it.
+"""The string: its mass points and effects. `engine.simulate` moves it.
 
-Parameters are given in the paper's view: per unit mass of one mass point (Table 1), at
-`reference_points` mass points. Inside, they are properties of the material (bending
-stiffness over mass per length, and so on), so that a value means the same string
-whatever the number of points; at `points == reference_points` the two are Eq. 1
-exactly.
+Parameters are given as in the paper: per unit mass of one mass point (Table 1), for
+`reference_points` mass points. They are converted to properties of the material, such
+as bending stiffness over mass per length. So a value means the same string at any
+number of points. At `points == reference_points` the model is Eq. 1 exactly.
 """
 
 from __future__ import annotations
@@ -51,8 +50,8 @@ from stringcast.stages.model.engine.law_slots import (
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.parametrised import Parametrised
 
-# 30 um of 300 mm, far finer than any string converges at; stiffness and steps go with
-# its square.
+# Segments of 30 um for 300 mm, far finer than convergence needs. Stiffness and the
+# number of steps grow with its square.
 MAX_POINTS = 10_000
 PAPER_EFFECTS: tuple[type[StringEffect], ...] = (
     Gravity,
@@ -64,9 +63,9 @@ PAPER_EFFECTS: tuple[type[StringEffect], ...] = (
     GraspSpring,
     GraspDamper,
 )
-# If any of these is active the loop holds them all, which takes 1.2 times as long, and
-# one loop is compiled (4 s) instead of up to 511. None has a memory; each adds exactly
-# nothing where it is absent.
+# If any of these is active, the loop contains them all. It takes 1.2 times as long, but
+# only one loop is compiled (4 s) instead of up to 511. None has memory. An absent one
+# adds exactly zero.
 JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     AnisotropicDrag,
     Clamp,
@@ -78,7 +77,7 @@ JOINTLY_COMPILED_EFFECTS: tuple[type[StringEffect], ...] = (
     TipMass,
     Wind,
 )
-# If any of these is active, one loop holds all of them and those above, which takes 1.1
+# If any of these is active, one loop contains all of them and those above. It takes 1.1
 # times as long as with one of them.
 COSTLY_EFFECTS: tuple[type[StringEffect], ...] = (
     Contact,
@@ -95,22 +94,20 @@ GRASP_AND_BENDING = (
 )
 
 Effects = tuple[type[StringEffect], ...]
-# A law, the names of its arguments, and the rows of `material` of those that are
-# parameters.
+# A law, the names of its arguments, and the rows of its parameters in `material`.
 BoundLaw = tuple[Law, tuple[str, ...], dict[str, int]]
 
 
 @dataclass(frozen=True)
 class String(Parametrised):
-    """A chain of mass points hung from the grasp.
+    """A chain of mass points that hangs from the grasp.
 
     Parameters
     ----------
     length : float
-        Rest length [m] from the stated grasp, before or beyond which an effect may have
-        it begin.
+        Rest length from the stated grasp [m]. An effect may move the beginning.
     points : int
-        Number of mass points n. The first is held by the hand.
+        Number of mass points n. The hand holds the first.
     effects : tuple of StringEffect classes
         The active forces.
     reference_points : int
@@ -126,9 +123,9 @@ class String(Parametrised):
     integrator : Integrator
         The time step.
     largest_step : float
-        Step allowed for accuracy [s]. Stability may ask for less.
+        Largest step for accuracy [s]. Stability may need a smaller one.
     shortest_segment : float
-        Length, in rest lengths, to which segments may be compressed in a stable step.
+        Shortest compressed segment for which a step is stable, in rest lengths.
 
     Raises
     ------
@@ -148,7 +145,7 @@ class String(Parametrised):
     shortest_segment: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be simulated."""
+        """Refuse meshes that cannot be simulated."""
         if self.points < 3:
             raise ValueError(f"string.points is {self.points}; it must be at least 3")
         if self.points > MAX_POINTS:
@@ -169,14 +166,14 @@ class String(Parametrised):
                 parameters.append(self.ranges.get(parameter.name, parameter))
         return tuple(parameters)
 
-    # --- material: what the laws are evaluated with -------------------------
+    # --- material: parameters of the laws -----------------------------------
 
     @cached_property
     def row_names(self) -> tuple[str, ...]:
         """Names of the rows of `material`.
 
-        They are the parameters, what effects derive from them, and, if the free string
-        may begin elsewhere than stated, its length.
+        They are the parameters, quantities that effects derive from them and, if an
+        effect may move the beginning of the free string, its length.
         """
         names = list(self.names)
         for effect in self.effects:
@@ -221,9 +218,9 @@ class String(Parametrised):
     def _soften_grasp(self, material: np.ndarray) -> None:
         """Soften the hinge at the grasp, in place, by its share of the first segment.
 
-        The clamp and the string's share of the segment are springs in series: they
-        divide the hinge's angle, and its rate, by their compliances, as long as the
-        dampers in parallel are slow. Moments follow by virtual work.
+        The clamp and the string's share of the segment are springs in series. They
+        share the hinge's angle and its rate in proportion to their compliances, if the
+        dampers in parallel are slow. Moments follow from virtual work.
         """
         places = [self.names.index(name) for name in GRASP_AND_BENDING]
         stiffness, damping, bending_stiffness, bending_damping = (
@@ -240,11 +237,10 @@ class String(Parametrised):
     # --- the same string with fewer or more effects -------------------------
 
     def without_absent_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
-        """Return the string without effects that all candidates lack, and its material.
+        """Remove effects that are absent in all candidates; return string and material.
 
-        Their laws add nothing, and statics and step sizes take time in proportion to
-        the number of laws. Forces that depend on place stay, because they decide by
-        which method the rest position is found.
+        Statics and step sizes take time in proportion to the number of laws. Forces
+        that depend on place stay, because the method of statics depends on them.
 
         material: (C, rows).
         """
@@ -260,7 +256,7 @@ class String(Parametrised):
     def with_only_effects(
         self, effects: Effects, material: np.ndarray
     ) -> tuple[String, np.ndarray]:
-        """Return the string with some of its effects, and its material (C, rows)."""
+        """Keep only some effects; return string and material (C, rows)."""
         if effects not in self._restricted_strings:
             names = _parameter_names(effects)
             ranges = {n: p for n, p in self.ranges.items() if n in names}
@@ -271,10 +267,10 @@ class String(Parametrised):
         return string, material[:, columns]
 
     def with_compiled_effects(self, material: np.ndarray) -> tuple[String, np.ndarray]:
-        """Return the string with all jointly compiled effects, and its material.
+        """Add all jointly compiled effects, with values at which they are absent.
 
-        Effects that this string does not have are absent by their values. A string
-        with the paper's forces alone is returned as it is.
+        Returns string and material. A string with the paper's forces only is not
+        changed.
 
         material: (C, rows).
         """
@@ -287,10 +283,10 @@ class String(Parametrised):
 
     @cached_property
     def _compiled_string(self) -> tuple[String, np.ndarray, list[int]]:
-        """String with all jointly compiled effects, and how to make its material.
+        """String with all jointly compiled effects, its material and columns.
 
-        That is the material (rows,) with all effects absent, and the columns that this
-        string's material takes in it.
+        The material (rows,) has all effects absent; the columns are those of this
+        string's own material in it.
         """
         joint = (*PAPER_EFFECTS, *JOINTLY_COMPILED_EFFECTS)
         if set(COSTLY_EFFECTS) & set(self.effects):
@@ -307,7 +303,7 @@ class String(Parametrised):
 
     @cached_property
     def _removable_effects(self) -> dict[type[StringEffect], list[int]]:
-        """Effects that may be left out, and the columns of their parameters."""
+        """Effects that may be removed, and the columns of their parameters."""
         removable = {}
         for effect in self.effects:
             names = [p.name for p in effect.qualified_parameters()]
@@ -318,7 +314,7 @@ class String(Parametrised):
 
     @cached_property
     def _restricted_strings(self) -> dict[Effects, tuple[String, list[int]]]:
-        """Results of `with_only_effects` so far: strings, and columns of material."""
+        """Cache of `with_only_effects`: strings, and columns of material."""
         return {}
 
     # --- geometry -----------------------------------------------------------
@@ -350,7 +346,7 @@ class String(Parametrised):
 
     @cached_property
     def _hidden_length_effects(self) -> Effects:
-        """Effects by which the free string begins elsewhere than stated."""
+        """Effects that move the beginning of the free string."""
         return tuple(e for e in self.effects if "hidden_length" in e.laws())
 
     def free_segment_lengths(self, material: np.ndarray) -> np.ndarray:
@@ -361,7 +357,7 @@ class String(Parametrised):
         return self.segment_length * self.free_length_ratio(material)
 
     def free_arc_lengths(self, material: np.ndarray) -> np.ndarray:
-        """Return arc lengths of points from the free string's begin, (C, n) [m].
+        """Return arc lengths of points along the free string, (C, n) [m].
 
         material: (C, P).
         """
@@ -371,7 +367,7 @@ class String(Parametrised):
         return free_lengths
 
     def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find the masses of the points and the lengths of string that they represent.
+        """Find the masses of points and the lengths of string that they represent.
 
         Parameters
         ----------
@@ -381,7 +377,7 @@ class String(Parametrised):
         Returns
         -------
         masses : ndarray of shape (C, n)
-            Over nominal mass per length [m].
+            Mass over nominal mass per length [m].
         cells : ndarray of shape (C, n)
             Length of string that each point represents [m].
         """
@@ -414,7 +410,7 @@ class String(Parametrised):
     ) -> Iterator[Any]:
         """Evaluate each law in a slot.
 
-        material: (C, rows). arguments: of the slot by name, (1 or C, M) each.
+        material: (C, rows). arguments: the slot's arguments by name, (1 or C, M) each.
         """
         for law in self._laws.get(slot, ()):
             yield _evaluate_law(law, material, arguments)
@@ -426,11 +422,11 @@ class String(Parametrised):
         arguments: Mapping[str, np.ndarray],
         start: np.ndarray,
     ) -> np.ndarray:
-        """Add the values of all laws in a slot to a start (C, M)."""
+        """Add the values of all laws in a slot to an initial value (C, M)."""
         return sum(self.law_values(slot, material, arguments), start)
 
     def memory_count(self, slot: str) -> int:
-        """Count effects with memory of a slot, `moment` or `grasp_moment`."""
+        """Count effects with memory in a slot, `moment` or `grasp_moment`."""
         return len(self._laws.get(MEMORY_SLOTS[slot][0], ()))
 
     def updated_memory(
@@ -439,7 +435,7 @@ class String(Parametrised):
         material: np.ndarray,
         change: np.ndarray,
         before: Sequence[np.ndarray] | None = None,
-        lapse: float = np.inf,
+        duration: float = np.inf,
     ) -> list[np.ndarray]:
         """Update the state of each effect with memory after a change of bending.
 
@@ -450,19 +446,19 @@ class String(Parametrised):
         material : ndarray of shape (C, rows)
             Material properties.
         change : ndarray of shape (1 or C, M)
-            Of curvature [1/m] or the grasp's angle [rad].
+            Change of curvature [1/m] or of the grasp's angle [rad].
         before : sequence of ndarray, optional
-            States before it, (1 or C, M) each; zero if not given.
-        lapse : float
-            Time in which it changes [s].
+            States before the change, (1 or C, M) each; zero if not given.
+        duration : float
+            Duration of the change [s].
 
         Returns
         -------
         list of ndarray
-            States after it, (1 or C, M) each.
+            States after the change, (1 or C, M) each.
         """
         laws = self._laws.get(MEMORY_SLOTS[slot][0], [])
-        known = {"change": change, "dt": np.full((1, 1), lapse)}
+        known = {"change": change, "dt": np.full((1, 1), duration)}
         states = before or [np.zeros((1, 1))] * len(laws)
         after = []
         for law, memory in zip(laws, states, strict=True):
@@ -494,10 +490,10 @@ class String(Parametrised):
     def _material_rows(
         self, effect: type[StringEffect], arguments: Sequence[str]
     ) -> dict[str, int]:
-        """Return the rows of material that a law's arguments take, by their names."""
+        """Return the rows of a law's parameters in the material, by name."""
         rows = {}
         for argument in arguments:
-            # an effect's own parameter before another's of the same name
+            # An effect's own parameter takes precedence over others of the same name.
             for name in (f"{effect.name}.{argument}", argument):
                 if name in self.row_names:
                     rows[argument] = self.row_names.index(name)
@@ -510,7 +506,7 @@ def _parameter_names(effects: Effects) -> set[str]:
 
 
 def _absent_values(effects: Effects) -> np.ndarray:
-    """Return the values (P,) at which effects are absent: their own starts."""
+    """Return the values (P,) at which effects are absent."""
     return np.array([p.start for effect in effects for p in effect.parameters])
 
 
@@ -519,7 +515,7 @@ def _evaluate_law(
 ) -> Any:
     """Evaluate a law for all candidates.
 
-    material: (C, rows). arguments: of the slot, (1 or C, M) each.
+    material: (C, rows). arguments: the slot's arguments, (1 or C, M) each.
     """
     law, names, places = bound
     known = {name: material[:, place, None] for name, place in places.items()}

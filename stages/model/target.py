@@ -1,4 +1,4 @@
-"""The target: a box that the tip enters, perhaps in a direction and at a speed."""
+"""The target: a box for the tip, with optional direction and speed of arrival."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PositiveSpeed = Annotated[float, Field(gt=0, le=1000)]
 
 @dataclass(frozen=True)
 class Target(Box):
-    """A box that the tip shall enter, and how it shall arrive there.
+    """A box that the tip must enter, and how it must arrive.
 
     Parameters
     ----------
@@ -42,17 +42,17 @@ class Target(Box):
         return self.direction is not None or self.speed is not None
 
     def arrival_error(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the larger deviation of velocities from what is wanted, in tolerances.
+        """Return the larger error of direction and speed, in tolerances.
 
         Parameters
         ----------
         velocity : ndarray, shape (..., 2)
-            Of the tip [m/s].
+            Velocity of the tip [m/s].
 
         Returns
         -------
         ndarray, shape (...)
-            0 if any direction and speed will do.
+            0 if direction and speed are free.
         """
         error = np.zeros(velocity.shape[:-1])
         if self.direction is not None:
@@ -65,14 +65,14 @@ class Target(Box):
         return error
 
     def is_entered_along(self, path: np.ndarray, time_step: float) -> np.ndarray:
-        """Return whether the tip is in the box in each segment, moving as wanted.
+        """Return whether the tip enters the box as required, in each segment of a path.
 
         Parameters
         ----------
         path : ndarray, shape (..., K, 2)
             Positions of the tip [m].
         time_step : float
-            Time between two of them [s].
+            Time between two positions [s].
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""Effects, a file each: `stages.model.library` finds them."""
+"""Effects, one in each file. `stages.model.library` finds them."""

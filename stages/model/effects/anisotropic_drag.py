@@ -17,14 +17,14 @@ from stringcast.stages.model.effect import (
 
 
 class AnisotropicDrag(StringEffect):
-    """The paper's air drag once more, times `excess`, for velocity across."""
+    """Additional air drag on velocity across the string: `excess` times the paper's."""
 
     name = "anisotropic_drag"
     parameters = (
         Parameter(
             "excess",
             "1",
-            "resistance across the string over that along it, less 1",
+            "relative excess of drag across the string over drag along it",
             0.0,
             10.0,
             0.0,

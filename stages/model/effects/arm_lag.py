@@ -14,17 +14,15 @@ from stringcast.stages.model.effect import (
 
 
 class ArmLag(HandEffect):
-    """A first-order lag, tau y' = u - y: each joint follows what the arm reports.
+    """A first-order lag of each joint behind its reported angle, tau y' = u - y.
 
-    Where only the grasp is known, its pose lags instead. The lag is solved exactly for
-    the cubic spline through the samples. The arm is at rest at the beginning.
+    If only the grasp is known, its pose lags. The solution is exact for the cubic
+    spline through the samples. The arm rests at the beginning.
     """
 
     name = "arm_lag"
     parameters = (
-        Parameter(
-            "time_constant", "s", "time by which joints lag behind", 0.0, 0.1, 0.0
-        ),
+        Parameter("time_constant", "s", "time by which joints lag", 0.0, 0.1, 0.0),
     )
     reference = "Response of a first-order system to a polynomial"
     invariants = (
@@ -37,8 +35,8 @@ class ArmLag(HandEffect):
     @staticmethod
     def describe(values: Values) -> str:
         return (
-            f"the joints lag {1e3 * values['time_constant']:.1f} ms behind what the "
-            f"arm reports"
+            f"the joints lag {1e3 * values['time_constant']:.1f} ms behind their "
+            f"reported angles"
         )
 
     @staticmethod
@@ -47,13 +45,13 @@ class ArmLag(HandEffect):
     ) -> np.ndarray:
         """Return y = u - e.
 
-        In each interval the lag e is a polynomial in the spline's derivatives, and a
-        decay from what it was.
+        In each interval the lag e is a polynomial in the spline's derivatives plus an
+        exponential decay.
         """
         spline = CubicSpline(t, angles, axis=1, bc_type="natural")
         third = np.diff(spline(t, 2), axis=1) / np.diff(t)[:, None]
         tau = time_constant
-        # the part of e that does not decay: tau u' - tau^2 u'' + tau^3 u'''
+        # The polynomial part of e: tau u' - tau^2 u'' + tau^3 u'''
         at_start, at_end = (
             tau * (spline(u, 1) - tau * (spline(u, 2) - tau * third))
             for u in (t[:-1], t[1:])
@@ -67,5 +65,5 @@ class ArmLag(HandEffect):
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:
-        """Return the pose with a lag of position and direction."""
+        """Return the lagged pose."""
         return ArmLag.joints(t, pose, time_constant)

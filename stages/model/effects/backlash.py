@@ -1,4 +1,4 @@
-"""Play in the joints at reversals."""
+"""Play in the joints."""
 
 import numpy as np
 
@@ -13,14 +13,14 @@ from stringcast.stages.model.effect import (
 
 
 class Backlash(HandEffect):
-    """The play operator: a joint stays until its gap is taken up, then it is pushed.
+    """The play operator: after a reversal a joint rests until its gap is closed.
 
-    It begins in the middle of the gap. Gears wear one by one, so each joint has a gap
-    of its own.
+    It begins in the middle of the gap. Each joint has its own gap, because gears wear
+    independently.
     """
 
     name = "backlash"
-    order = 1  # gears play behind the motor, whose lag and gain come first
+    order = 1  # the gears follow the motor, whose lag and gain come first
     parameters = tuple(
         Parameter(
             f"gap_{joint}", "rad", f"play of joint q{joint}, end to end", 0.0, 0.1, 0.0
@@ -36,7 +36,7 @@ class Backlash(HandEffect):
     @staticmethod
     def describe(values: Values) -> str:
         gaps = ", ".join(f"{np.degrees(gap):.2f}" for gap in values.values())
-        return f"joints have play at their reversals: q1, q2 and q3 of {gaps} degrees"
+        return f"the joints have play: q1, q2 and q3 by {gaps} degrees"
 
     @staticmethod
     def joints(
@@ -48,7 +48,7 @@ class Backlash(HandEffect):
     ) -> np.ndarray:
         """Return the actual angles, sample by sample.
 
-        Within half a gap of the reported angle a joint stays where it was.
+        A joint within half a gap of the reported angle does not move.
         """
         half = np.concatenate([gap_1, gap_2, gap_3], axis=-1) / 2
         low, high = angles - half, angles + half

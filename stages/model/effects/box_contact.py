@@ -1,4 +1,4 @@
-"""An obstacle that the string touches: an upright box."""
+"""An obstacle that the string touches: a box with sides along x and y."""
 
 import numpy as np
 
@@ -16,15 +16,16 @@ from stringcast.stages.model.effects.contact import Contact
 
 
 class BoxContact(StringEffect):
-    """A box that pushes out what is inside it, with loss and friction as in `contact`.
+    """A box that pushes points out, with loss and friction as in `contact`.
 
-    It pushes with k d along the slope of the depth d, 1/d^2 = 1/a^2 + 1/b^2, for depths
-    a and b behind the nearer upright and the nearer level side. The potential is k d^2
-    / 2. Behind a side d is the distance from it; behind an edge the push turns smoothly
-    from one side to the other. The true distance, the smaller of a and b, would jump
-    across the diagonals: there a step of 0.1 ms gained up to 3 % of a point's energy,
-    so it gains 0.2 %. A point at speed v goes v / sqrt(k) deep. What passes the middle
-    leaves on the other side. Mass points touch, not the segments between them.
+    The force per mass is k d along the gradient of the depth d, 1/d^2 = 1/a^2 + 1/b^2,
+    with the distances a and b from the nearer vertical and horizontal side. Its
+    potential is k d^2 / 2. Near a side d is the distance from it; near a corner the
+    force turns smoothly from one side to the other. With the smaller of a and b
+    instead, the force jumps across the diagonals, and a step of 0.1 ms there gained up
+    to 3 % of a point's energy instead of 0.2 %. A point at speed v enters to the depth
+    v / sqrt(k); beyond the middle it leaves on the other side. Mass points touch; the
+    segments between them do not.
     """
 
     name = "box_contact"
@@ -35,18 +36,18 @@ class BoxContact(StringEffect):
         Parameter(
             "stiffness",
             "1/s2",
-            "push over mass per depth behind a side",
+            "contact force over mass, per depth",
             0.0,
             1.0e5,
             0.0,
         ),
-        Parameter("centre_x", "m", "place of the box's centre", -1.5, 1.5, 0.0),
-        Parameter("centre_y", "m", "place of the box's centre", -1.5, 1.5, 0.0),
+        Parameter("centre_x", "m", "x of the box's centre", -1.5, 1.5, 0.0),
+        Parameter("centre_y", "m", "y of the box's centre", -1.5, 1.5, 0.0),
         Parameter("width", "m", "full width of the box", 0.0, 1.0, 0.1),
         Parameter("height", "m", "full height of the box", 0.0, 1.0, 0.1),
         Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
         Parameter(
-            "loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0
+            "loss", "s/m", "relative loss of force per speed of impact", 0.0, 0.5, 0.0
         ),
     )
     reference = Contact.reference
@@ -54,7 +55,7 @@ class BoxContact(StringEffect):
         vanishes_at_zero("load", "stiffness"),
         is_odd("load", "x", "y", "vx", "vy", "centre_x", "centre_y"),
     )
-    # no curvature of the potential is above that behind a side, k
+    # The potential curves most near a side, by k.
     bound = staticmethod(Contact.bound)
 
     @staticmethod
@@ -67,7 +68,7 @@ class BoxContact(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the push at rest along a level line through the centre."""
+        """Draw the static force along a horizontal line through the centre."""
         place = np.linspace(-0.7, 0.7, 281) * values["width"]
         given = {"friction": 0.0, "loss": 0.0} | cls.derive_parameters(
             values["width"], values["height"]
@@ -102,7 +103,7 @@ class BoxContact(StringEffect):
         right, up = x - centre_x, y - centre_y
         a = np.maximum(half_width - np.abs(right), 0.0)
         b = np.maximum(half_height - np.abs(up), 0.0)
-        # the last term only keeps 0 / 0 away
+        # The last term avoids 0 / 0.
         over = 1.0 / np.sqrt(a * a + b * b + 1e-30)
         out_x = np.sign(right) * (b * over) ** 3
         out_y = np.sign(up) * (a * over) ** 3
@@ -115,6 +116,6 @@ class BoxContact(StringEffect):
         )
         slide = out_y * vx - out_x * vy
         rub = friction * push
-        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s], as a plane's
+        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s], as in `contact`
         rub = rub * slide / np.sqrt(slide * slide + slow * slow)
         return push * out_x - rub * out_y, push * out_y + rub * out_x

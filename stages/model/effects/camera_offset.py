@@ -1,4 +1,4 @@
-"""A picture whose origin is elsewhere."""
+"""A wrong origin of the picture."""
 
 import numpy as np
 
@@ -13,16 +13,19 @@ from stringcast.stages.model.effect import (
 
 
 class CameraOffset(CameraEffect):
-    """A shift of everything that the camera reports.
+    """A shift of all reported points.
 
-    The pixel taken for the arm's origin is another one. `align` measures it beforehand.
+    The stated pixel of the arm's origin is wrong. `align` measures the shift
+    beforehand.
     """
 
     name = "camera_offset"
     uses_velocity = False
     parameters = (
-        Parameter("x", "m", "how far to the right everything is seen", -0.1, 0.1, 0.0),
-        Parameter("y", "m", "how far up everything is seen", -0.1, 0.1, 0.0),
+        Parameter(
+            "x", "m", "shift of all reported points to the right", -0.1, 0.1, 0.0
+        ),
+        Parameter("y", "m", "upward shift of all reported points", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
     invariants = (shifts_with("observe", "points"),)
@@ -32,7 +35,9 @@ class CameraOffset(CameraEffect):
         side = "right" if values["x"] > 0 else "left"
         across = f"{1e3 * abs(values['x']):.1f} mm to the {side}"
         up = f"{1e3 * abs(values['y']):.1f} mm {'up' if values['y'] > 0 else 'down'}"
-        return f"the picture's origin is off: everything is seen {across} and {up}"
+        return (
+            f"the picture's origin is wrong: everything is reported {across} and {up}"
+        )
 
     @staticmethod
     def observe(

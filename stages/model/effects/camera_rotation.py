@@ -1,4 +1,4 @@
-"""A camera that is rolled."""
+"""A roll of the camera about its axis."""
 
 import numpy as np
 
@@ -13,13 +13,18 @@ from stringcast.stages.model.effect import (
 
 
 class CameraRotation(CameraEffect):
-    """A rotation of the reported points about the image's middle, counter-clockwise."""
+    """A counter-clockwise rotation of the reported points about the image centre."""
 
     name = "camera_rotation"
     uses_velocity = False
     parameters = (
         Parameter(
-            "angle", "rad", "angle by which what is seen is turned", -0.2, 0.2, 0.0
+            "angle",
+            "rad",
+            "counter-clockwise rotation of reported points",
+            -0.2,
+            0.2,
+            0.0,
         ),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
@@ -29,7 +34,7 @@ class CameraRotation(CameraEffect):
     def describe(values: Values) -> str:
         way = "counter-clockwise" if values["angle"] > 0 else "clockwise"
         return (
-            f"the camera is rolled: what it sees is turned "
+            f"the camera is rolled: reported points are turned "
             f"{np.degrees(abs(values['angle'])):.2f} degrees {way}"
         )
 
@@ -41,7 +46,7 @@ class CameraRotation(CameraEffect):
         camera: Camera,
         angle: Quantity,
     ) -> np.ndarray:
-        """Return the points rotated about the image's middle."""
+        """Return the points rotated about the image centre."""
         centre_x, centre_y = camera.centre
         x = points[..., 0] - centre_x
         y = points[..., 1] - centre_y

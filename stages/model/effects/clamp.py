@@ -1,4 +1,4 @@
-"""A string that begins elsewhere than the grasp is said to be."""
+"""A string that does not begin at the stated grasp."""
 
 import numpy as np
 
@@ -15,10 +15,10 @@ from stringcast.stages.model.effect import (
 class Clamp(StringEffect):
     """A free string that begins `hidden` before the stated grasp, shifted sideways.
 
-    With no offset it passes straight through the stated grasp. Measured points keep
-    their arc length from there. A negative length is held: that part lies straight on
-    as the free string begins. The offset is in the frame of the grasp, with its angle,
-    if it has one. A camera that is off looks like the offset.
+    Without an offset it passes straight through the stated grasp. Measured points keep
+    their arc length from the stated grasp. If `hidden` is negative, the held part is
+    straight in the direction of the free string. The offset is in the frame of the
+    grasp, including `grasp_angle`. An offset of the camera looks the same.
     """
 
     name = "clamp"
@@ -56,7 +56,7 @@ class Clamp(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the stated grasp, and the string from where it begins."""
+        """Draw the stated grasp and the beginning of the string."""
         axes.plot(0.0, 0.0, "+", markersize=12)
         along, across = cls.grasp_offset(**values)
         draw_line(

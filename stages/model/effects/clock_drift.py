@@ -12,9 +12,9 @@ from stringcast.stages.model.effect import (
 
 
 class ClockDrift(ClockEffect):
-    """A gain of the arm's clock on the camera's.
+    """A difference in rate between the arm's clock and the camera's.
 
-    It counts from t = 0, the start of the movement, where both agree.
+    The clocks agree at t = 0, the start of the movement.
     """
 
     name = "clock_drift"
@@ -22,7 +22,7 @@ class ClockDrift(ClockEffect):
         Parameter(
             "rate",
             "1",
-            "what the arm's clock gains on the camera's, as a share",
+            "relative gain of the arm's clock on the camera's",
             -0.05,
             0.05,
             0.0,
@@ -35,7 +35,7 @@ class ClockDrift(ClockEffect):
     def describe(values: Values) -> str:
         faster = "faster" if values["rate"] > 0 else "slower"
         return (
-            f"the arm's clock runs {1e3 * abs(values['rate']):.2f} ms a second "
+            f"the arm's clock runs {1e3 * abs(values['rate']):.2f} ms per second "
             f"{faster} than the camera's"
         )
 

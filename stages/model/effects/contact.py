@@ -12,22 +12,22 @@ from stringcast.stages.model.effect import (
     vanishes_at_zero,
 )
 
-# A string at rest sinks 0.1 m into it: what is softer is a field of force and no plane.
+# A string at rest sinks in by 0.1 m. A softer plane is rather a field of force.
 SOFTEST_PER_S2 = 98.1
 
 
 class Contact(StringEffect):
-    """A plane that pushes back what is behind it, k d (1 - a v_n), and rubs.
+    """A plane with the contact force k d (1 - a v_n) per mass, and friction.
 
-    d is the depth and v_n the velocity out of the plane. It never pulls. Without loss a
-    the push has a potential, so that a bounce gives back what it took; loss only takes
-    (Hunt and Crossley). Mass points touch, not the segments between them. What is
-    between mass points goes deeper than they do, so a plane looks softer than it is.
+    d is the depth and v_n the velocity out of the plane. The force never pulls. Without
+    the loss a it has a potential, so a bounce conserves energy; the loss only
+    dissipates (Hunt and Crossley). Mass points touch; the segments between them do not.
+    A string enters deeper between its points, so a plane appears softer than it is.
 
-    Friction is Coulomb's, smooth below 0.1 m/s, and in a step dt below twice the speed
-    that it could take in it: a step cannot see a slide turn round, so friction must not
-    turn it round. What is met at a speed v goes v / sqrt(k) deep (5 m/s: 16 mm at 1e5,
-    2.5 mm at 4e6), so k is sought evenly in its root.
+    Friction is Coulomb's, smoothed below 0.1 m/s, or below twice the change of speed by
+    friction in a step dt: friction must not reverse a slide within a step. A point at
+    speed v enters to the depth v / sqrt(k) (5 m/s: 16 mm at 1e5, 2.5 mm at 4e6), so k
+    is searched evenly in its root.
     """
 
     name = "contact"
@@ -35,13 +35,13 @@ class Contact(StringEffect):
         Parameter(
             "stiffness",
             "1/s2",
-            "push over mass per depth",
+            "contact force over mass, per depth",
             0.0,
             1.0e7,
             0.0,
             root=2,
             is_lower_bound=True,
-            least=SOFTEST_PER_S2,
+            min_amplitude=SOFTEST_PER_S2,
         ),
         Parameter(
             "height",
@@ -61,7 +61,7 @@ class Contact(StringEffect):
         ),
         Parameter("friction", "1", "friction coefficient", 0.0, 1.0, 0.0),
         Parameter(
-            "loss", "s/m", "share of the push lost per speed of impact", 0.0, 0.5, 0.0
+            "loss", "s/m", "relative loss of force per speed of impact", 0.0, 0.5, 0.0
         ),
     )
     reference = (
@@ -73,7 +73,7 @@ class Contact(StringEffect):
     @staticmethod
     def describe(values: Values) -> str:
         turned = np.degrees(values["tilt"])
-        # [mm] of a string that lies on it as on a floor
+        # [mm], if it is a floor
         sinks = 1e3 * 9.81 / max(values["stiffness"], 1e-3)
         soft = (
             f", so soft that a string at rest sinks {sinks:.0f} mm into it"
@@ -87,7 +87,7 @@ class Contact(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the push at rest over the place along the normal."""
+        """Draw the static force over the position along the normal."""
         place = values["height"] + np.linspace(-0.01, 0.01, 101)
         push = cls.load(
             0.0,
@@ -102,7 +102,7 @@ class Contact(StringEffect):
             0.0,
             1.0,
         )[1]
-        draw_line(axes, place, push, "along the normal [m]", "push [m/s2]")
+        draw_line(axes, place, push, "along the normal [m]", "force over mass [m/s2]")
 
     @staticmethod
     def derive_parameters(tilt: Quantity, **others: Quantity) -> dict[str, Quantity]:
@@ -113,9 +113,9 @@ class Contact(StringEffect):
     def bound(
         stiffness: Quantity, loss: Quantity, **others: Quantity
     ) -> tuple[Quantity, Quantity]:
-        """Bound impacts up to 10 m/s, which go as deep as speed over frequency.
+        """Bound impacts up to 10 m/s, to the depth v / sqrt(k).
 
-        Friction is bounded by its law.
+        The law itself limits friction.
         """
         speed = 10.0
         return stiffness * (1 + loss * speed), loss * speed * np.sqrt(stiffness)

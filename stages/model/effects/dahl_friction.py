@@ -1,4 +1,4 @@
-"""Strands that rub on one another, with memory and round corners."""
+"""Friction between strands, with memory and a smooth onset of slip."""
 
 from stringcast.stages.model.effect import (
     Parameter,
@@ -13,10 +13,9 @@ from stringcast.stages.model.effect import (
 class DahlFriction(StringEffect):
     """Dahl's friction in parallel with the bending stiffness.
 
-    The moment approaches `cap` as the hinge keeps bending one way. It is to
-    `maxwell_slip` what a worn edge is to a sharp one: at a reversal its stiffness is
-    one to two times cap / slip. No swing that goes far beyond `slip` distinguishes the
-    two.
+    The moment approaches `cap` while the hinge bends in one direction. It is a smooth
+    form of `maxwell_slip`: after a reversal the stiffness is one to two times cap /
+    slip. Swings far beyond `slip` do not distinguish the two.
     """
 
     name = "dahl_friction"
@@ -24,13 +23,18 @@ class DahlFriction(StringEffect):
         Parameter(
             "cap",
             "m3/s2",
-            "moment over mass per length that it comes near to",
+            "limit of the friction moment over mass per length",
             0.0,
             0.3,
             0.0,
         ),
         Parameter(
-            "slip", "1/m", "curvature over which it comes near to it", 5e-3, 2.0, 0.1
+            "slip",
+            "1/m",
+            "curvature over which it approaches the limit",
+            5e-3,
+            2.0,
+            0.1,
         ),
     )
     reference = "Dahl, Solid friction damping of mechanical vibrations (1976)"
@@ -43,8 +47,8 @@ class DahlFriction(StringEffect):
     def describe(values: Values) -> str:
         share = moment_percent_of_weight(values["cap"])
         return (
-            f"bending rubs, with {share:.1f} % of the moment that holds 100 mm of it "
-            f"out level"
+            f"strands rub in bending, with up to {share:.1f} % of the moment that "
+            f"holds 100 mm of the string level"
         )
 
     @staticmethod
@@ -57,8 +61,8 @@ class DahlFriction(StringEffect):
         memory: Quantity, change: Quantity, per_slip: Quantity
     ) -> Quantity:
         x = abs(change) * per_slip
-        # (exp(x) - 1) / x, within a step to the last digit, by products: a division by
-        # 3 stays one in the loop
+        # (exp(x) - 1) / x, exact to the last digit for the x of a step. Constant
+        # products, because the loop would divide by 3.
         rise = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 6.0 + x * (1.0 / 24.0)))
         return (memory + change * rise) / (1.0 + x * rise)
 

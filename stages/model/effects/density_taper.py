@@ -12,7 +12,7 @@ from stringcast.stages.model.effect import (
 class DensityTaper(StringEffect):
     """A density from 1 - taper / 2 at the grasp to 1 + taper / 2 at the tip.
 
-    The whole mass stays what it is.
+    The total mass does not change.
     """
 
     name = "density_taper"
@@ -20,7 +20,7 @@ class DensityTaper(StringEffect):
         Parameter(
             "taper",
             "1",
-            "rise of mass per length from grasp to tip over its mean",
+            "rise of mass per length from grasp to tip, relative to its mean",
             -1.6,
             1.6,
             0.0,

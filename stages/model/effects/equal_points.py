@@ -1,4 +1,4 @@
-"""Trials made by a simulation whose mass points are all alike."""
+"""Trials from a simulation whose mass points are all equal."""
 
 import numpy as np
 
@@ -14,10 +14,10 @@ from stringcast.stages.model.effect import (
 
 
 class EqualPoints(StringEffect):
-    """Extra mass and drag at the tip, as of half a segment that is not there.
+    """Extra mass and drag at the tip, equal to those of half a segment.
 
-    The last of n equal points stands for it. No string before a camera is like that;
-    trials made by another simulation are, as Eq. 1 is with its ten points.
+    The last of n equal points has them. They occur in simulated trials, such as Eq. 1
+    with its ten points, and not in filmed ones.
     """
 
     name = "equal_points"
@@ -43,7 +43,7 @@ class EqualPoints(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the excess over the number of equal points, and the one found."""
+        """Draw the excess over the number of equal points, and its estimate."""
         points = np.arange(9, 101)
         draw_line(
             axes,

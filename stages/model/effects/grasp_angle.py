@@ -14,14 +14,14 @@ from stringcast.stages.model.effect import (
 
 
 class GraspAngle(HandEffect):
-    """A turn of the grasp's direction against the last link, counter-clockwise."""
+    """A counter-clockwise turn of the grasp's direction from the last link's."""
 
     name = "grasp_angle"
     parameters = (
         Parameter(
             "angle",
             "rad",
-            "direction of the string against the last link",
+            "angle from the last link to the string",
             -0.8,
             0.8,
             0.0,

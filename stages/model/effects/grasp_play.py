@@ -1,4 +1,4 @@
-"""A string that sticks in the gripper and turns there: play with a memory."""
+"""A string that sticks or turns in the gripper: dry friction with memory."""
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from stringcast.stages.model.effect import (
 class GraspPlay(StringEffect):
     """Jaws that hold the string's direction by dry friction, up to the moment `cap`.
 
-    In parallel with the grasp's spring. Below the cap they give by `slip` at most and
-    spring back. Beyond it the string turns between them, and stays turned as far as the
-    spring lets it: play, whose ends are where it last slipped to. While it sticks it
-    looks like a firmer grasp.
+    The friction is in parallel with the grasp's spring. Below `cap` the jaws yield
+    elastically, by `slip` at most. Beyond it the string turns between them, and the
+    spring only partly turns it back. While it sticks, the grasp looks firmer.
     """
 
     name = "grasp_play"
@@ -32,7 +31,7 @@ class GraspPlay(StringEffect):
             0.0,
         ),
         Parameter(
-            "slip", "rad", "angle by which the jaws give before", 5e-3, 0.5, 0.05
+            "slip", "rad", "angle by which the jaws yield before", 5e-3, 0.5, 0.05
         ),
     )
     reference = (
@@ -49,7 +48,7 @@ class GraspPlay(StringEffect):
         share = moment_percent_of_weight(values["cap"])
         return (
             f"the string turns in the gripper, beyond {share:.1f} % of the moment that "
-            f"holds 100 mm of it out level"
+            f"holds 100 mm of it level"
         )
 
     @staticmethod

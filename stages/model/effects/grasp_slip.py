@@ -16,9 +16,9 @@ from stringcast.stages.model.effect import (
 class GraspSlip(HandEffect):
     """A slide of the string out of the gripper at a constant speed, for some time.
 
-    It slides along the grasp's direction. The part that has come out is taken to go on
-    straight, and the free string keeps its length: right for a slip that is short
-    against the string. Onset and end are smooth over some 20 ms.
+    It slides along the grasp's direction. The part that has come out is assumed
+    straight, and the free string keeps its length. This holds for a slip much shorter
+    than the string. Onset and end are smooth over some 20 ms.
     """
 
     name = "grasp_slip"
@@ -26,8 +26,8 @@ class GraspSlip(HandEffect):
         Parameter(
             "speed", "m/s", "speed at which the string slides out", -0.3, 0.3, 0.0
         ),
-        Parameter("onset", "s", "when it begins to slide", 0.0, 2.0, 0.2),
-        Parameter("duration", "s", "for how long it slides", 0.0, 4.0, 1.0, root=2),
+        Parameter("onset", "s", "beginning of the slide", 0.0, 2.0, 0.2),
+        Parameter("duration", "s", "duration of the slide", 0.0, 4.0, 1.0, root=2),
     )
     reference = "Kinematics of a string that is paid out"
     invariants = (moves_with_pose("grasp", "pose"),)
@@ -60,7 +60,7 @@ class GraspSlip(HandEffect):
     ) -> np.ndarray:
         """Return the poses moved by the distance slid.
 
-        The distance is the integral of a logistic rise of the speed, and of its fall.
+        The speed rises and falls as a logistic function; the distance is its integral.
         """
         rise, since = 0.005, t[:, None] - onset  # [s]
         begun, ended = (

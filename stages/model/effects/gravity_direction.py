@@ -1,4 +1,4 @@
-"""Gravity that is not straight down in the arm's frame."""
+"""Gravity that is not vertical in the arm's frame."""
 
 import numpy as np
 
@@ -16,9 +16,8 @@ class GravityDirection(StringEffect):
     """A rotation of gravity, counter-clockwise: the arm's base is not level.
 
     A floor that slopes by more than 1 in 20 is a ramp (2010 ADA Standards, 403.3). The
-    range is twice that: a base stands off its floor no more than a floor off the level.
-
-    The law is the acceleration to be added to the paper's weight.
+    range is twice that, for the floor and for the base on it. The law is the
+    acceleration to add to the paper's weight.
     """
 
     name = "gravity_direction"
@@ -38,7 +37,7 @@ class GravityDirection(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw an arrow beside the vertical, which is grey."""
+        """Draw an arrow for gravity, and a grey line for the vertical."""
         axes.quiver(
             [0, 0],
             [0, 0],
@@ -55,7 +54,7 @@ class GravityDirection(StringEffect):
 
     @staticmethod
     def derive_parameters(tilt: Quantity) -> dict[str, Quantity]:
-        """Return sine and versine, so that no sine runs in the loop."""
+        """Return sine and versine, so that the loop has no sine."""
         return {"sine": np.sin(tilt), "versine": 2 * np.sin(tilt / 2) ** 2}
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Joints that move by a constant factor more or less than reported."""
+"""Joints that turn by a constant factor more or less than reported."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from stringcast.stages.model.effect import (
 class JointGain(HandEffect):
     """A gain of every joint: it turns 1 + gain times as far as the arm reports.
 
-    Counted from its first angle.
+    Turns count from the first angle.
     """
 
     name = "joint_gain"
@@ -23,7 +23,7 @@ class JointGain(HandEffect):
         Parameter(
             "gain",
             "1",
-            "what joints turn more than reported, as a share",
+            "relative excess of actual over reported turns",
             -0.2,
             0.2,
             0.0,
@@ -35,13 +35,10 @@ class JointGain(HandEffect):
     @staticmethod
     def describe(values: Values) -> str:
         more = "more" if values["gain"] > 0 else "less"
-        return (
-            f"the joints turn {100 * abs(values['gain']):.1f} % {more} than the arm "
-            f"reports"
-        )
+        return f"the joints turn {100 * abs(values['gain']):.1f} % {more} than reported"
 
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gain: Quantity) -> np.ndarray:
-        """Return the angles, whose changes since the first are larger by the gain."""
+        """Return the angles, with changes since the first scaled by 1 + gain."""
         joint_angles: np.ndarray = angles + gain * (angles - angles[:, :1])
         return joint_angles

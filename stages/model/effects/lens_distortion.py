@@ -13,20 +13,20 @@ from stringcast.stages.model.effect import (
 
 
 class LensDistortion(CameraEffect):
-    """Radial distortion r' = r (1 + k r^2) beyond what the camera corrects.
+    """Radial distortion r' = r (1 + k r^2) that the camera does not correct.
 
-    r is the distance from the image's middle in half-widths.
+    r is the distance from the image centre in half-widths.
     """
 
     name = "lens_distortion"
     uses_velocity = False
-    order = 1  # it bends what a camera sees from where it stands
+    order = 1  # distortion follows the camera's pose
     corrected_by_calibration = True
     parameters = (
         Parameter(
             "radial",
             "1",
-            "outward shift at the image's left and right edge, as a share",
+            "relative outward shift at the image's left and right edge",
             -0.2,
             0.2,
             0.0,
@@ -37,11 +37,13 @@ class LensDistortion(CameraEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        kind = "pincushion" if values["radial"] > 0 else "barrel"
+        is_outward = values["radial"] > 0
+        kind = "pincushion" if is_outward else "barrel"
+        place = "far from" if is_outward else "near to"
         share = 100 * abs(values["radial"])
         return (
             f"the lens distorts ({kind}): points at the image's edge are seen "
-            f"{share:.1f} % off their distance"
+            f"{share:.1f} % too {place} its centre"
         )
 
     @staticmethod
@@ -52,7 +54,7 @@ class LensDistortion(CameraEffect):
         camera: Camera,
         radial: Quantity,
     ) -> np.ndarray:
-        """Return the points moved outwards by the cube of their distance."""
+        """Return the distorted points."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
         observed: np.ndarray = points + radial * offset * np.sum(

@@ -1,4 +1,4 @@
-"""Strands that stick to one another until they slip, with memory."""
+"""Strands that stick together until they slip, with memory."""
 
 from stringcast.stages.model.effect import (
     Parameter,
@@ -13,10 +13,11 @@ from stringcast.stages.model.effect import (
 class MaxwellSlip(StringEffect):
     """A spring in series with dry friction, in parallel with the bending stiffness.
 
-    It sticks, then slips at the moment `cap`: the stop of Prandtl and Ishlinskii. It
-    follows the curvature and is cut off at +-slip. Its stiffness while it sticks is cap
-    / slip; several in parallel round its corner. Where swings are far wider than
-    `slip`, the data determine only the cap, and an upper bound of `slip`.
+    It sticks, then slips at the moment `cap` (the stop operator of Prandtl and
+    Ishlinskii). Its memory follows the curvature, clipped at +-slip. Its stiffness
+    while sticking is cap / slip; several in parallel smooth the transition. If swings
+    are much wider than `slip`, the data determine only the cap and an upper bound of
+    `slip`.
     """
 
     name = "maxwell_slip"
@@ -46,18 +47,18 @@ class MaxwellSlip(StringEffect):
     def describe(values: Values) -> str:
         share = moment_percent_of_weight(values["cap"])
         return (
-            f"bending sticks and slips, with {share:.1f} % of the moment that holds "
-            f"100 mm of it out level"
+            f"strands stick and slip in bending, at {share:.1f} % of the moment that "
+            f"holds 100 mm of the string level"
         )
 
     @staticmethod
     def derive_parameters(cap: Quantity, slip: Quantity) -> dict[str, Quantity]:
-        """Return the stiffness of the element while it sticks [m4/s2]."""
+        """Return the stiffness while sticking [m4/s2]."""
         return {"sticking": cap / slip}
 
     @staticmethod
     def hinge_memory(memory: Quantity, change: Quantity, slip: Quantity) -> Quantity:
-        # cut off by sizes: np.clip looks for NaN, which costs the loop a tenth
+        # Not np.clip: it tests for NaN, which costs the loop a tenth.
         wanted = memory + change
         return 0.5 * (abs(wanted + slip) - abs(wanted - slip))
 

@@ -17,9 +17,9 @@ from stringcast.stages.model.effect import (
 class NonlinearBending(StringEffect):
     """M = B k sqrt(q + sqrt(1 + q^2)) with q = 2 h k^2 for curvature k.
 
-    B k (1 + h k^2) where h k^2 is small. Where it is large, a stiffening string (h > 0)
-    has M ~ k^2, and a softening one yields: M rises towards a limit. M never falls with
-    curvature, so that the string stays stable in bending.
+    For small h k^2 it is B k (1 + h k^2). For large h k^2, M of a stiffening string (h
+    > 0) grows like k^2, and M of a softening string approaches a limit. M never
+    decreases with curvature, so the string stays stable in bending.
     """
 
     name = "nonlinear_bending"
@@ -48,7 +48,7 @@ class NonlinearBending(StringEffect):
         share = 100 * NonlinearBending.hinge_stiffness(20.0, 1.0, values["hardening"])
         return (
             f"bending {kind} with curvature: the moment at a radius of 50 mm is "
-            f"{share:+.0f} % off the linear one"
+            f"{share:+.0f} % from the linear one"
         )
 
     @classmethod

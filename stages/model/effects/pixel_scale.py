@@ -1,4 +1,4 @@
-"""Metres per pixel that are off."""
+"""A wrong scale of metres per pixel."""
 
 import numpy as np
 
@@ -13,16 +13,13 @@ from stringcast.stages.model.effect import (
 
 
 class PixelScale(CameraEffect):
-    """A scale error: everything is reported larger by a share.
-
-    Scaled about the world's origin.
-    """
+    """A scale error: reported points are scaled about the world's origin."""
 
     name = "pixel_scale"
     uses_velocity = False
-    order = 2  # the last: pixels become metres
+    order = 2  # last, where pixels become metres
     parameters = (
-        Parameter("excess", "1", "reported over true size, less 1", -0.1, 0.1, 0.0),
+        Parameter("excess", "1", "relative error of reported sizes", -0.1, 0.1, 0.0),
     )
     reference = "Hartley and Zisserman, Multiple View Geometry (2004), 2.4: similarity"
     invariants = (is_odd("observe", "points"),)
@@ -31,7 +28,7 @@ class PixelScale(CameraEffect):
     def describe(values: Values) -> str:
         size = "large" if values["excess"] > 0 else "small"
         return (
-            f"the camera's scale is off: everything is reported "
+            f"the camera's scale is wrong: everything is reported "
             f"{100 * abs(values['excess']):.2f} % too {size}"
         )
 
@@ -43,6 +40,6 @@ class PixelScale(CameraEffect):
         camera: Camera,
         excess: Quantity,
     ) -> np.ndarray:
-        """Return the points scaled about the world's origin, whose pixel is known."""
+        """Return the scaled points."""
         observed: np.ndarray = points * (1 + excess)
         return observed

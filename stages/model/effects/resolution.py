@@ -6,10 +6,10 @@ from stringcast.stages.model.effect import Axes, ModelChange, Values, draw_line
 
 
 class Resolution(ModelChange):
-    """A mesh error of the model, no law of the string: segments half as long.
+    """An error of the mesh, which segments of half the length reduce.
 
-    May be joined again, to halve once more. Parameters keep their meaning, for they are
-    given at `reference_points`.
+    It may be added again to halve once more. Parameters keep their meaning, because
+    they are given for `reference_points`.
     """
 
     name = "resolution"
@@ -21,11 +21,11 @@ class Resolution(ModelChange):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw an error of first order over the number of mass points."""
+        """Draw a first-order error over the number of mass points."""
         points = np.array([10, 19, 37, 73])
         draw_line(axes, points, 9 / (points - 1), "mass points", "error / error at 10")
 
     @staticmethod
     def points(points: int) -> int:
-        """Return the number of mass points where segments are half as long."""
+        """Return the number of mass points for segments of half the length."""
         return 2 * points - 1

@@ -1,4 +1,4 @@
-"""A set: the string rests curved."""
+"""Permanent set: the string is curved at rest."""
 
 import numpy as np
 
@@ -14,10 +14,9 @@ from stringcast.stages.model.effect import (
 
 
 class RestCurvature(StringEffect):
-    """A curvature of the string without any moment, positive to the left.
+    """A curvature without moment, positive to the left towards the tip.
 
-    To the left of its way to the tip. It is `curvature` in the middle of the string,
-    and changes linearly along it.
+    It is `curvature` in the middle of the string and changes linearly along it.
     """
 
     name = "rest_curvature"
@@ -51,13 +50,13 @@ class RestCurvature(StringEffect):
             else ""
         )
         return (
-            f"the string has a set: it rests curved to the {side} with a radius of "
-            f"{radius:.0f} mm{along}"
+            f"the string has a permanent set: at rest it curves to the {side} with a "
+            f"radius of {radius:.0f} mm{along}"
         )
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the shape of 0.3 m of it at rest."""
+        """Draw 0.3 m of the string at rest."""
         s = np.linspace(0.0, 0.3, 101)
         turned = (values["curvature"] + values["slope"] * (s - s[-1]) / 2) * s
         steps = 0.003 * np.stack([np.cos(turned), np.sin(turned)])

@@ -1,4 +1,4 @@
-"""Rows that are exposed one after another."""
+"""A rolling shutter: rows are exposed one after another."""
 
 import numpy as np
 
@@ -17,12 +17,12 @@ from stringcast.stages.model.effect import (
 class RollingShutter(CameraEffect):
     """A delay of rows: row v of H is exposed (v / H - stamped) readout after the stamp.
 
-    v counts from the top. Points move on evenly meanwhile. Cameras state the time of
-    their first row, of the middle one, or of the last.
+    v counts from the top. Points move at constant velocity in the meantime. A camera's
+    stamp is the time of its first, middle or last row.
     """
 
     name = "rolling_shutter"
-    # the first: it takes velocities as they are, before anything is turned or scaled
+    # First, because velocities are not rotated or scaled.
     order = -1
     parameters = (
         Parameter(
@@ -51,7 +51,7 @@ class RollingShutter(CameraEffect):
     def describe(values: Values) -> str:
         order = "top to bottom" if values["readout"] > 0 else "bottom to top"
         return (
-            f"the shutter rolls: rows are exposed from {order} within "
+            f"the camera has a rolling shutter: rows are exposed from {order} within "
             f"{1e3 * abs(values['readout']):.2f} ms"
         )
 
@@ -71,7 +71,7 @@ class RollingShutter(CameraEffect):
         readout: Quantity,
         stamped: Quantity,
     ) -> np.ndarray:
-        """Return the positions of points when their rows are exposed.
+        """Return the positions of points at the exposure of their rows.
 
         delay = readout (row + rowspeed delay), solved for the delay.
         """

@@ -1,4 +1,4 @@
-"""A string that yields: part of its stiffness relaxes."""
+"""Relaxation of part of the bending stiffness."""
 
 from stringcast.stages.model.effect import (
     Parameter,
@@ -12,8 +12,8 @@ from stringcast.stages.model.effect import (
 class StandardLinearSolid(StringEffect):
     """A spring in series with a damper, in parallel with the bending stiffness (Zener).
 
-    It is stiff at once, soft in the long run. Several in parallel are a Prony series.
-    Within one cast it looks much like damping.
+    It is stiff in fast motion and soft in slow motion. Several in parallel are a Prony
+    series. Within one cast it resembles damping.
     """
 
     name = "standard_linear_solid"

@@ -14,12 +14,12 @@ from stringcast.stages.model.effect import (
 class TimeOffset(ClockEffect):
     """A constant advance of the arm's clock over the camera's.
 
-    A delay of the pictures' stamps looks the same.
+    A delay of the frames' time stamps looks the same.
     """
 
     name = "time_offset"
     parameters = (
-        Parameter("offset", "s", "arm's clock less the camera's", -0.05, 0.05, 0.0),
+        Parameter("offset", "s", "arm's clock minus the camera's", -0.05, 0.05, 0.0),
     )
     reference = "Change of the origin of time"
     invariants = (shifts_with("times", "t"),)

@@ -14,7 +14,7 @@ from stringcast.stages.model.effect import (
 
 
 class TipMass(StringEffect):
-    """A point mass on the last mass point, as a share of the string's own."""
+    """A point mass on the last mass point, relative to the string's mass."""
 
     name = "tip_mass"
     parameters = (
@@ -33,7 +33,7 @@ class TipMass(StringEffect):
 
     @classmethod
     def plot(cls, axes: Axes, values: Values) -> None:
-        """Draw the mass beyond a place, which a hanging string carries there."""
+        """Draw the mass that a hanging string carries at each place."""
         s = np.linspace(0.0, 1.0, 101)
         draw_line(
             axes,

@@ -1,4 +1,4 @@
-"""Steady air flow through the workspace."""
+"""A steady flow of air through the workspace."""
 
 import numpy as np
 
@@ -12,10 +12,10 @@ from stringcast.stages.model.effect import (
 
 
 class Wind(StringEffect):
-    """A steady flow of the air.
+    """A steady flow of air, relative to which drag acts.
 
-    Whatever resists motion through it feels the velocity relative to the wind. A
-    draught in a room is 0.1 to 0.3 m/s; a fan beside the arm may reach the range's end.
+    A draught in a room is 0.1 to 0.3 m/s; a fan near the arm may reach the end of the
+    range.
     """
 
     name = "wind"
@@ -27,7 +27,7 @@ class Wind(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        # each component has an interval, a compass direction has none
+        # Components, because a direction has no interval.
         along_x, along_y = values["along_x"], values["along_y"]
         side = "right" if along_x > 0 else "left"
         vertical = "upwards" if along_y > 0 else "downwards"

@@ -1,4 +1,4 @@
-"""Places for laws in the string's equation of motion, with arguments and units."""
+"""Slots for laws in the string's equation of motion, with arguments and units."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Law = Callable[..., Quantity]
 
 @dataclass(frozen=True)
 class Slot:
-    """A place for laws in the string's equation of motion.
+    """A slot for laws in the string's equation of motion.
 
     Parameters
     ----------
     quantity : str
-        What laws add there.
+        Quantity to which laws contribute.
     unit : str
         Its unit.
     arguments : mapping of str to str
@@ -43,16 +43,15 @@ SLOTS: dict[str, Slot] = {
         "m3/s2",
         {"curvature": "1/m", "rate": "1/(m s)", "s": "m"},
     ),
-    # for moments far from linear, which can be steep: implicit steps average them
+    # For strongly nonlinear moments, which can be steep: implicit steps average them.
     "hinge_stiffness": Slot(
         "bending moment over mass per length, per curvature",
         "m4/s2",
         {"curvature": "1/m"},
     ),
-    # for hinges with a memory: its state after the curvature has changed, and its
-    # moment
+    # For hinges with memory: its state after a change of curvature, and its moment.
     "hinge_memory": Slot(
-        "memory of a hinge, from what it was",
+        "updated memory of a hinge",
         "1/m",
         {"memory": "1/m", "change": "1/m", "dt": "s"},
     ),
@@ -60,7 +59,7 @@ SLOTS: dict[str, Slot] = {
         "bending moment over mass per length", "m3/s2", {"memory": "1/m"}
     ),
     "grasp_memory": Slot(
-        "memory of the grasp, from what it was",
+        "updated memory of the grasp",
         "rad",
         {"memory": "rad", "change": "rad", "dt": "s"},
     ),
@@ -72,8 +71,8 @@ SLOTS: dict[str, Slot] = {
         "m3/s2",
         {"angle": "rad", "rate": "rad/s"},
     ),
-    # v is the string's velocity, u that through the air, (tx, ty) the string's
-    # direction towards the tip, dt the step
+    # v: velocity of the string. u: velocity relative to the air. (tx, ty): direction of
+    # the string towards the tip. dt: step.
     "load": Slot(
         "force over nominal mass, (x, y)",
         "m/s2",
@@ -91,12 +90,12 @@ SLOTS: dict[str, Slot] = {
         },
     ),
     "acceleration": Slot(
-        "acceleration whatever the mass, (x, y)", "m/s2", {**POSITION_UNITS, "t": "s"}
+        "acceleration independent of mass, (x, y)", "m/s2", {**POSITION_UNITS, "t": "s"}
     ),
     "flow": Slot("velocity of the air, (x, y)", "m/s", {**POSITION_UNITS, "t": "s"}),
     "rest_curvature": Slot("curvature at rest", "1/m", {"s": "m", "length": "m"}),
     "density": Slot(
-        "mass per length over its nominal value, less 1",
+        "relative excess of mass per length over its nominal value",
         "1",
         {"s": "m", "length": "m"},
     ),
@@ -104,24 +103,24 @@ SLOTS: dict[str, Slot] = {
         "mass at the tip over nominal mass per length", "m", {"length": "m"}
     ),
     "tip_length": Slot(
-        "string at the tip beyond its length, of its mass and in its air",
+        "additional length at the tip, which has mass and drag",
         "m",
         {"length": "m"},
     ),
-    # for a string that does not begin where the grasp is said to be; measured points
-    # are counted from there all the same
+    # For a string that does not begin at the stated grasp. Arc lengths of measured
+    # points still count from the stated grasp.
     "hidden_length": Slot("free string before the stated grasp", "m", {}),
     "grasp_offset": Slot(
-        "where the free string begins, from the stated grasp, (along, across)", "m", {}
+        "beginning of the free string from the stated grasp, (along, across)", "m", {}
     ),
 }
 
-# Rows of parameters of strings that begin elsewhere than stated: free length over that
-# stated, and one over a segment's.
+# Rows of parameters if the beginning of the string may move: free length over stated
+# length, and one over the length of a segment.
 FREE_LENGTH_ROWS = ("free_length_ratio", "per_segment")
 
-# Memory, by the slot that its moment belongs to: the slots of the state and of its
-# moment, and the bending that it follows.
+# By the slot to which the moment of a memory belongs: slots of its state and moment,
+# and the bend that it follows.
 MEMORY_SLOTS = {
     "moment": ("hinge_memory", "hinge_memory_moment", "curvature"),
     "grasp_moment": ("grasp_memory", "grasp_memory_moment", "angle"),
@@ -129,7 +128,7 @@ MEMORY_SLOTS = {
 
 
 def has_memory(laws: Mapping[str, Law]) -> bool:
-    """Return whether one of the laws, by slot, keeps a memory."""
+    """Return whether one of the laws, by slot, has memory."""
     return any(memory in laws for memory, _, _ in MEMORY_SLOTS.values())
 
 
