@@ -69,7 +69,7 @@ ALIGNMENT_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Alignment:
-    """Pose and clock of the camera relative to the arm's: the artifact of `align`."""
+    """Pose and clock of the camera relative to the arm, made by `align`."""
 
     measured: pd.DataFrame
     seen: pd.DataFrame
@@ -90,5 +90,5 @@ class Alignment:
 
     @property
     def extended_yaml(self) -> str:
-        """Settings of the model with the alignment, for other experiments (YAML)."""
+        """Model settings with this alignment, for other experiments (YAML)."""
         return str(self.aligned["extended"].iloc[0])

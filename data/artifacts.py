@@ -1,8 +1,8 @@
 """Artifacts of casts and trials: motions, recordings and points.
 
-An artifact is what a stage makes: a frozen dataclass of a few tables. Its field
-`TABLES` maps their names to schemas. Others are in `estimates`, `explanations`,
-`diagnoses`, `alignment` and `calibration`.
+An artifact is the output of a stage: a frozen dataclass of a few tables. Its field
+`TABLES` maps their names to schemas. Other artifacts are in `estimates`,
+`explanations`, `diagnoses`, `alignment` and `calibration`.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def outcome_without_target(duration: float, tried: int) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Motion:
-    """A planned movement, which `generate` makes and `execute` performs."""
+    """A planned movement: made by `generate`, performed by `execute`."""
 
     commands: pd.DataFrame
     control_points: pd.DataFrame
@@ -125,7 +125,7 @@ class Motion:
 
     @property
     def is_cast(self) -> bool:
-        """Whether it throws the tip at a target, along curves with control points."""
+        """Whether the motion was planned for a target, from control points."""
         return not self.control_points.empty
 
 
@@ -210,7 +210,7 @@ def lateness_columns(name: str, times: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Trial:
-    """The record of one execution by arm and camera, which `execute` makes.
+    """The record of one execution by arm and camera, made by `execute`.
 
     `images` is a sequence of grey uint8 arrays (height, width), in the order of
     `frames`; from disk they are read one by one.
@@ -297,7 +297,7 @@ MASKS = Table(
 
 @dataclass(frozen=True)
 class Points:
-    """The string in each frame, which `extract` reads from a trial's images."""
+    """The string in each frame, read from images by `extract`."""
 
     points: pd.DataFrame
     readings: pd.DataFrame
@@ -337,11 +337,11 @@ class Observation:
     trial
         Its name.
     points
-        Measured points; empty where they are yet to be read from frames.
+        Measured points; empty until they are extracted from frames.
     readings
-        What was read in each frame.
+        Results of the extraction for each frame.
     masks
-        The binarised string of each frame; empty where only points were measured.
+        The binarised string of each frame; empty if only points were measured.
     arm, grasp
         Joint angles (table ARM) or poses (table GRASP); exactly one is given.
     starts_moving
@@ -371,13 +371,13 @@ class TrialSet:
     observations
         The trials.
     films
-        Frames of those that were filmed, by name.
+        Frames of the filmed trials, by name.
     rejected
-        Reasons why other trials cannot be used, by name of the trial.
+        Reasons why other trials cannot be used, by name.
     held_out
-        Names of the trials that only measure a gain.
+        Names of the trials that are used only to measure the gain.
     iteration_numbers
-        Iterations of a run in which they were recorded.
+        Iterations of the run that recorded the trials.
     """
 
     observations: Sequence[Observation]

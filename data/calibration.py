@@ -69,7 +69,7 @@ CALIBRATION_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Calibration:
-    """A measured camera: what `calibrate` makes."""
+    """A measured camera, made by `calibrate`."""
 
     views: pd.DataFrame
     corners: pd.DataFrame

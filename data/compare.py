@@ -22,7 +22,7 @@ from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 
 cv2 = LazyModule("cv2")
-MAX_VALUE_CHARACTERS = 60  # characters of a value that are shown
+MAX_VALUE_CHARACTERS = 60  # characters shown of a value
 
 
 def folder_differences(a: Path, b: Path, leave_out: frozenset[str]) -> list[str]:
@@ -81,7 +81,7 @@ def _image_differences(a: Path, b: Path) -> list[str]:
     if first is None or second is None or first.shape != second.shape:
         return ["the image has another size or cannot be read"]
     distance = np.abs(first.astype(int) - second.astype(int))
-    if not distance.any():  # the same picture may be compressed differently
+    if not distance.any():  # equal pictures may be compressed differently
         return []
     count = np.count_nonzero(distance)
     return [f"{count} pixels differ, at most by {distance.max()} grey levels"]
@@ -93,7 +93,7 @@ def _read_checked(path: Path) -> pa.Table:
 
 
 def _table_differences(a: Path, b: Path) -> list[str]:
-    """Compare columns with their order and types, rows, and every value to the bit."""
+    """Compare order and types of columns, number of rows, and the bits of values."""
     try:
         if store.content_hash(a) == store.content_hash(b):
             return []
@@ -120,7 +120,7 @@ def _table_differences(a: Path, b: Path) -> list[str]:
 
 
 def _column_difference(a: pa.ChunkedArray, b: pa.ChunkedArray) -> str:
-    """Describe where two columns of one type first differ, and by how much at most.
+    """Describe where two columns first differ, and the largest difference.
 
     Floating-point numbers are compared by their bits: 0 differs from -0, and NaN equals
     NaN. The result is empty for equal columns.

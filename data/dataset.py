@@ -1,10 +1,9 @@
 """Folders of measured data, by this program or others (`data/README.md`).
 
 A dataset is one folder: `arm` or `grasp`, and `points`, each as Parquet or CSV with the
-leading column `trial`, and `dataset.yaml`. Where points are yet to be made there are
-frames instead, listed in `frames`, or a video for each trial. A run of ours also keeps
-`readings` and `masks`, so that estimation from disk sees exactly what it saw in the
-run.
+leading column `trial`, and `dataset.yaml`. A dataset without points has frames, listed
+in `frames`, or a video for each trial. A run also stores `readings` and `masks`, so
+that estimation from disk gets the same input as in the run.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ from stringcast.data.store import content_hash, write_table, write_text
 from stringcast.data.table_files import RUN_TABLES, find_table, read_rows, with_trial
 from stringcast.data.trial_faults import TrialFault, find_fault, find_timeless_fault
 
-# lengths of the string: points farther along are another string's
+# string lengths; points farther along belong to another string
 MAX_ARC_LENGTH_RATIO = 1.05
-# of a trial's points: so few that lie beyond are dropped, not the trial
+# share of points beyond the end up to which the trial is kept
 MAX_STRAY_FRACTION = 0.05
-# [s] of a trial's first time: larger times are counted from a whole second of the trial
+# [s]: trials that begin later are shifted by a whole number of seconds
 MAX_FIRST_TIME_S = 10.0
 
 
@@ -61,7 +60,7 @@ class Dataset:
     films
         Frames by trial, where there are any.
     unusable
-        Why other trials cannot be used, by name.
+        Faults of the other trials, by name.
     metadata
         The content of dataset.yaml.
     hashes
@@ -69,8 +68,7 @@ class Dataset:
     row_counts
         Counts of the rows of the measured tables, by file.
     clock_starts
-        Seconds subtracted from the times of a trial whose clock began long before it,
-        by trial.
+        Seconds subtracted from times that begin far from 0, by trial.
     """
 
     folder: Path
@@ -84,11 +82,11 @@ class Dataset:
 
     @property
     def rejection_reasons(self) -> dict[str, str]:
-        """Reasons of trials that cannot be used, by name."""
+        """Reasons why trials cannot be used, by name."""
         return {name: fault.reason for name, fault in self.unusable.items()}
 
     def require_trial(self, place: str) -> None:
-        """Raise DataError, which begins with the place, if no trial can be used."""
+        """Raise DataError if no trial can be used; its message begins with `place`."""
         if not self.trials:
             reasons = describe_rejected(self.rejection_reasons) or "it holds no trial"
             raise DataError(
@@ -109,7 +107,7 @@ def write_dataset(
     metadata: Mapping[str, Any],
     origin: Mapping[str, Any],
 ) -> None:
-    """Write trials of ours as a dataset.
+    """Write the trials of a run as a dataset.
 
     Each file is replaced whole, `dataset.yaml` last.
 
@@ -124,7 +122,7 @@ def write_dataset(
     metadata
         The content of dataset.yaml, without the format.
     origin
-        What made the trials; it goes into every footer.
+        Origin of the trials, written to every footer.
     """
     parts: dict[Table, list[pd.DataFrame]] = {table: [] for table in RUN_TABLES}
     for name, (trial, points) in trials.items():
@@ -169,12 +167,12 @@ def read_dataset(folder: Path) -> Dataset:
             f"trials={folder}: there is no such folder. "
             "Name a run's folder or one in the data format."
         )
-    # the tables of all trials together
+    # tables of all trials
     metadata = read_metadata(folder)
     row_counts: dict[str, RowCounts] = {}
     footage = _read_footage(folder, metadata, row_counts)
     hand, tables = _read_tables(folder, metadata, row_counts, filmed=bool(footage))
-    # each trial by itself, by a clock of its own, and whether it can be used
+    # each trial, with its own start of time, and its faults
     by_trial = [_split_by_trial(table) for table in tables]
     trials = {}
     films = {}
@@ -200,7 +198,7 @@ def read_dataset(folder: Path) -> Dataset:
                 films[name] = film
         if start:
             clock_starts[name] = start
-    # by these a run knows whether the data have changed since
+    # a run compares these to notice changed data
     hashes = {
         path.relative_to(folder).as_posix(): content_hash(path)
         for path in _source_files(folder, footage)
@@ -211,7 +209,7 @@ def read_dataset(folder: Path) -> Dataset:
 
 
 def _source_files(folder: Path, footage: Mapping[str, TimedImages]) -> list[Path]:
-    """List what a dataset consists of: tables, folders of frames, videos."""
+    """List the files of a dataset: tables, folders of frames, videos."""
     paths = set(video_files(folder))
     for table in (GRASP, *RUN_TABLES):
         path = find_table(folder, table.name)
@@ -224,7 +222,7 @@ def _source_files(folder: Path, footage: Mapping[str, TimedImages]) -> list[Path
 
 
 class MeasuredTables(NamedTuple):
-    """Rows of all trials, or of one, of each measured table."""
+    """Rows of each measured table, for one trial or all."""
 
     motion: pd.DataFrame
     points: pd.DataFrame
@@ -232,7 +230,7 @@ class MeasuredTables(NamedTuple):
     masks: pd.DataFrame
 
     def with_times_from(self, start: float) -> MeasuredTables:
-        """Return the tables with times that count from a start [s]."""
+        """Subtract a start time [s] from all times."""
         return MeasuredTables(*(rows.assign(t=rows["t"] - start) for rows in self))
 
 
@@ -242,7 +240,7 @@ def _read_tables(
     row_counts: dict[str, RowCounts],
     filmed: bool,
 ) -> tuple[Table, MeasuredTables]:
-    """Read the schema of the hand's motion, ARM or GRASP, and the tables of all trials.
+    """Read the tables of all trials, and the schema ARM or GRASP of the hand.
 
     Points may be missing if frames were filmed.
     """
@@ -269,7 +267,7 @@ def _build_trial(
     footage: TimedImages | None,
     moving: bool,
 ) -> tuple[Observation, Film | None, float]:
-    """Build a trial, its film if any, and what was subtracted from all its times [s].
+    """Build a trial, its film if any, and the start subtracted from its times [s].
 
     hand: schema of the motion.
     """
@@ -297,7 +295,7 @@ def _read_footage(
 ) -> dict[str, TimedImages]:
     """Read times and images of each trial that has any.
 
-    Raises DataError if points must be made of them and the camera is not described.
+    Raises DataError if points must be extracted and the camera is not described.
     """
     camera = metadata.get("camera") or {}
     films = video_files(folder)
@@ -320,13 +318,13 @@ def _read_footage(
     elif "fps" in camera:
         for path in films:
             video = Video(path)
-            # the rate as filmed, not as played
+            # frame rate of filming, not of playback
             footage[path.stem] = video.frame_times(float(camera["fps"])), video
     return footage
 
 
 def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:
-    """Split the rows by trial; a trial without rows has a frame without rows."""
+    """Split rows by trial; a trial without rows gets an empty frame."""
     rows = frame.drop(columns="trial")
     empty = rows.iloc[:0].reset_index(drop=True)
     parts: defaultdict[str, pd.DataFrame] = defaultdict(lambda: empty)
@@ -336,7 +334,7 @@ def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:
 
 
 def exclude_stray_points(data: Dataset, length: float) -> Dataset:
-    """Exclude what lies farther along than the string is long.
+    """Exclude points beyond the end of the string.
 
     Parameters
     ----------
@@ -348,8 +346,7 @@ def exclude_stray_points(data: Dataset, length: float) -> Dataset:
     Returns
     -------
     Dataset
-        The dataset without a trial's few stray points, or without the whole trial where
-        they are many.
+        The dataset without stray points, and without trials that have many of them.
     """
     trials = {}
     faults = dict(data.unusable)

@@ -154,10 +154,7 @@ DIAGNOSIS_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The causes of the discrepancy between simulation and trials, and their evidence.
-
-    `diagnose` makes it.
-    """
+    """The causes of the misfit between simulation and trials, made by `diagnose`."""
 
     finding: pd.DataFrame
     causes: pd.DataFrame
@@ -204,7 +201,7 @@ class Diagnosis:
 
     @property
     def motion(self) -> Motion | None:
-        """The motion that would distinguish look-alikes, ready to be performed.
+        """The proposed motion that distinguishes look-alikes.
 
         It is None if no motion is proposed.
         """

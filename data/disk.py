@@ -1,6 +1,6 @@
-"""The file operations by which everything is written.
+"""All file operations that write to disk.
 
-They stand in one place so that tests can make any of them fail.
+They are in one module so that tests can make each one fail.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def write(path: Path, content: bytes) -> None:
 def sync_folder(path: Path) -> None:
     """Sync a folder's names to the disk.
 
-    Only POSIX needs it; where folders cannot be opened, the system syncs by itself.
+    Only POSIX needs this; systems that cannot open folders sync by themselves.
     """
     if os.name != "posix":
         return
@@ -47,12 +47,12 @@ def sync_folder(path: Path) -> None:
 
 
 def rename(source: Path, target: Path) -> None:
-    """Rename a file or folder atomically; a file of that name is replaced."""
+    """Rename a file or folder atomically, replacing a file of that name."""
     os.replace(source, target)
 
 
 def remove(path: Path) -> None:
-    """Remove a file or folder as far as possible; a missing one is no error."""
+    """Remove a file or folder as far as possible; ignore a missing one."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
         return
@@ -65,14 +65,14 @@ def hold_lock(path: Path) -> Iterator[None]:
     """Hold a lock file inside the block.
 
     Raises BlockingIOError if another process holds it. The system releases the lock
-    when a process ends, however it ends: a dead one leaves only the file.
+    when the process ends or is killed; only the file stays.
     """
     with open(path, "a+b") as file:
         _lock(file)
         if not path.exists() or not os.path.samestat(
             os.fstat(file.fileno()), path.stat()
         ):
-            # by the process that held it until now
+            # removed by the previous holder
             raise BlockingIOError(f"{path} was removed by another process")
         yield
 

@@ -1,6 +1,6 @@
 """Errors that a user can correct, and their messages.
 
-Every command loads this module, which needs nothing itself.
+Every command loads this module, so it imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ REMEDIES = {
 class ExpectedError(Exception):
     """An error that the user can correct.
 
-    The message names the place, what is wrong there, and the remedy.
+    The message names the place, the fault and the remedy.
     """
 
 
 def remedy_for(error: BaseException) -> str:
-    """Choose the remedy for a place that cannot be written by the error's number."""
+    """Choose the remedy for a failed write by its error number."""
     return REMEDIES.get(getattr(error, "errno", None) or 0, DEFAULT_REMEDY)
 
 
@@ -39,10 +39,7 @@ def suggest_known_name(name: str, known: Sequence[str]) -> str:
 
 
 def escape_control_characters(text: str) -> str:
-    """Spell out the control characters of a text that others wrote.
-
-    An escape sequence would steer the terminal.
-    """
+    """Escape control characters of foreign text, as they would act on the terminal."""
     return "".join(map(_printable_character, text))
 
 

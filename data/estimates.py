@@ -90,7 +90,7 @@ ESTIMATION_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Estimate:
-    """Parameters of the string, which `estimate` fits to trials."""
+    """Parameters of the string, fitted to trials by `estimate`."""
 
     parameters: pd.DataFrame
     candidates: pd.DataFrame
@@ -126,12 +126,12 @@ class Estimate:
 
     @property
     def model_error_m(self) -> float:
-        """Error of the model on motions unlike those of the trials [m]."""
+        """Error of the model for motions unlike the trials [m]."""
         return float(self.fit["rms_after"].iloc[0])
 
     @property
     def mesh_error_m(self) -> float:
-        """Error of the mesh that the parameters do not make up for [m]."""
+        """Mesh error that the fitted parameters do not compensate [m]."""
         return float(self.fit["mesh_error"].iloc[0])
 
 
@@ -163,7 +163,7 @@ SCORE = Table(
 
 @dataclass(frozen=True)
 class Prediction:
-    """The prediction of a trial that nothing was fitted to, which `predict` makes."""
+    """The prediction of a trial before it is used in a fit, made by `predict`."""
 
     predicted: pd.DataFrame
     score: pd.DataFrame

@@ -26,7 +26,7 @@ SURPRISE_SUMMARY = Table(
 
 @dataclass(frozen=True)
 class Surprise:
-    """Test of whether a trial is within what was predicted."""
+    """Test whether a trial agrees with its prediction."""
 
     surprise: pd.DataFrame
 
@@ -34,7 +34,7 @@ class Surprise:
 
     @property
     def is_surprising(self) -> bool:
-        """Whether the trial is not within what was predicted."""
+        """Whether the trial disagrees with its prediction."""
         return bool(self.surprise["surprising"].iloc[0])
 
     @property
@@ -48,7 +48,7 @@ class Surprise:
         return str(self.surprise["sentence"].iloc[0])
 
 
-MIN_SHOWN_PROBABILITY = 0.01  # of a cause, in run.json and on pages
+MIN_SHOWN_PROBABILITY = 0.01  # smallest probability in run.json and on pages
 # verdicts whose causes leave much of the misfit unexplained
 PARTLY_EXPLAINED = ("partial", "undecided", "unknown")
 EXPLANATIONS = Table(
@@ -79,7 +79,7 @@ EXPLANATION_SUMMARY = Table(
 class Explanation(Estimate):
     """An estimate with the causes that explain surprising trials.
 
-    Its draws are those of all probable causes, as often as each is probable.
+    Its draws come from all probable sets of causes, weighted by probability.
     """
 
     explanations: pd.DataFrame = field(default_factory=EXPLANATIONS.empty)
@@ -102,10 +102,10 @@ class Explanation(Estimate):
 
     @property
     def model_error_m(self) -> float:
-        """Error of the model on motions unlike those of the trials [m].
+        """Error of the model for motions unlike the trials [m].
 
-        Causes that leave much unexplained may stand in for another cause, and then fit
-        these trials alone. The error is then that of the model without them.
+        Causes that leave much unexplained may imitate another cause and fit these
+        trials only. The error of the model without them is then used.
         """
         left_m = super().model_error_m
         if self.verdict not in PARTLY_EXPLAINED:
@@ -114,12 +114,12 @@ class Explanation(Estimate):
 
     @property
     def named_causes(self) -> tuple[str, ...]:
-        """Names of the effects that explain the trials; empty without a verdict."""
+        """Effects that explain the trials; empty without a verdict."""
         return next(iter(self.cause_sets)) if self.verdict == "cause" else ()
 
     @property
     def causes(self) -> dict[str, float]:
-        """Probability of each effect that was compared, alone or with others."""
+        """Probability of each compared effect, alone or with others."""
         causes: dict[str, float] = {}
         for names, probability in self.cause_sets.items():
             for name in names:
@@ -128,7 +128,7 @@ class Explanation(Estimate):
 
     @property
     def cause_sets(self) -> dict[tuple[str, ...], float]:
-        """Probability of all effects that were compared together, by their names."""
+        """Probability of each compared set of effects, by their names."""
         table = self.explanations
         pairs = zip(table["effects"], table["probability"], strict=True)
         return {tuple(str(names).split()): float(p) for names, p in pairs}

@@ -1,6 +1,6 @@
-"""Checks of files that others made, before they are read.
+"""Checks of foreign files before they are read.
 
-None of them may block the reader, fill the memory or run code.
+No file may block the reader, fill the memory or run code.
 """
 
 from __future__ import annotations
@@ -21,23 +21,21 @@ from pandas.errors import ParserWarning
 
 from stringcast.data.schema import DataError
 
-# [bytes] of settings: ours have 10 kB, and YAML takes a second for a hundred times that
+# [bytes] of settings: ours have 10 kB, and YAML parses 1 MB in a second
 MAX_TEXT_BYTES = 2**20
-# [bytes] of a table: 11 points at 240 frames a second for an hour, which readers copy
-# once
+# [bytes] of a table: 11 points at 240 frames a second for an hour
 MAX_TABLE_BYTES = 2**28
-# [bytes] of what a Parquet file says of itself: ours with the largest settings 4e6
+# [bytes] of a Parquet footer: ours have at most 4e6
 MAX_FOOTER_BYTES = 2**24
-MAX_CSV_BYTES = 2**26  # [bytes], which take up to ten times as much memory
+MAX_CSV_BYTES = 2**26  # [bytes]; memory use is up to ten times as large
 NUMBER_BYTES = 8  # [bytes] of a number
-# of a table: ours have at most 30, and pandas takes a minute to compare two million
-# names
+# of a table: ours have at most 30; pandas takes a minute for two million
 MAX_COLUMNS = 1000
 MAX_HEADER_BYTES = 2**16  # [bytes] of the first line of a CSV file: 64 for each column
-MAX_DIGITS = 40  # of a whole number: twice those of the largest that a table holds
-# of an image: the largest sensors have 5e7, which take 0.2 GB in three colours
+MAX_DIGITS = 40  # of an integer: twice as many as the largest int64
+# pixels: the largest sensors have 5e7, or 0.2 GB in three colours
 MAX_PIXELS = 1 << 26
-# cells of CSV that stand for a missing number; as a name, NA is a name
+# CSV cells of a missing number; in text columns, NA is a name
 MISSING_CELLS = [
     "",
     "NA",
@@ -57,7 +55,7 @@ MISSING_CELLS = [
     "-1.#IND",
     "1.#QNAN",
 ]
-# first and last line of YAML that we write: most of its beginnings are valid YAML, too
+# end mark of YAML that we write, as a truncated file is often valid YAML
 YAML_BEGINNING = "# A whole copy of this file has the line '# end'."
 YAML_END = "# end"
 READ_ERRORS = (pa.ArrowException, OSError, ValueError)  # of a damaged file
@@ -70,7 +68,7 @@ REFUSED_YAML_TAGS = {
 def require_plain_file(path: Path, max_bytes: int | None = None) -> Path:
     """Require a plain file of at most `max_bytes` and return its path.
 
-    A pipe would block the reader, and a device may never end.
+    A pipe would block the reader; a device may never end.
     """
     try:
         status = path.stat()
@@ -99,7 +97,7 @@ def require_plain_file(path: Path, max_bytes: int | None = None) -> Path:
 def require_inside(folder: Path, path: Path) -> Path:
     """Require a plain file in this folder, links followed, and return its path.
 
-    A link to a file elsewhere could show what its owner did not mean to share.
+    A link could reveal a private file elsewhere.
     """
     if not require_plain_file(path).resolve().is_relative_to(folder.resolve()):
         raise DataError(
@@ -110,13 +108,13 @@ def require_inside(folder: Path, path: Path) -> Path:
 
 
 def is_file_inside(folder: Path, file: str) -> bool:
-    """Return whether a path that a file names is a plain file in this folder."""
+    """Return whether a path read from a file is a plain file in this folder."""
     path = folder / file
     return os.path.isfile(path) and path.resolve().is_relative_to(folder.resolve())
 
 
 def is_outside(folder: Path, file: str) -> bool:
-    """Return whether a path that a file names leaves this folder, links followed."""
+    """Return whether a path read from a file leaves this folder, links followed."""
     if "\0" in file:
         return False
     path = Path(os.path.realpath(folder / file))
@@ -124,7 +122,7 @@ def is_outside(folder: Path, file: str) -> bool:
 
 
 def mark_yaml_end(text: str) -> str:
-    """Mark YAML so that a copy that was cut is noticed when it is read."""
+    """Append an end mark, so that a truncated copy is noticed."""
     return f"{YAML_BEGINNING}\n{text}{YAML_END}\n"
 
 
@@ -138,7 +136,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _parse_yaml(text: str) -> Any:
-    """Parse YAML; refuse that of ours without its end."""
+    """Parse YAML; refuse our own files without their end mark."""
     lines = text.splitlines()
     if YAML_BEGINNING in lines and YAML_END not in lines:
         raise ValueError(f"it was cut: the line '{YAML_END}' is missing")
@@ -183,7 +181,7 @@ def _read_mapping(
 
 
 def refuse_interpolation(values: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Require values without text that Hydra would resolve, and return them."""
+    """Require values without Hydra interpolations, and return them."""
     place = _interpolated_key(values)
     if place:
         raise DataError(
@@ -196,8 +194,8 @@ def refuse_interpolation(values: dict[str, Any], path: Path) -> dict[str, Any]:
 class _StrictLoader(yaml.SafeLoader):
     """YAML without aliases of lists and blocks, and without repeated names.
 
-    Nine lines of aliases can stand for 1e9 values. Of a repeated name the first value
-    would be lost in silence.
+    Nine lines of aliases can expand to 1e9 values. Repeated names would silently lose
+    all values but the last.
     """
 
     def compose_node(self, parent: Any, index: Any) -> Any:
@@ -222,7 +220,7 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_yaml_int(self, node: Any) -> Any:
-        """Construct a whole number, of as many digits as Python can print."""
+        """Construct an integer with a limited number of digits."""
         if len(node.value) > MAX_DIGITS:
             raise yaml.YAMLError(
                 f"a whole number of {len(node.value)} digits{node.start_mark}"
@@ -241,7 +239,7 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 def _interpolated_key(value: Any, place: str = "") -> str:
-    """Name the first text that Hydra would resolve, such as ${oc.env:HOME}.
+    """Name the key of the first interpolation, such as ${oc.env:HOME}.
 
     The name is empty if there is none.
     """
@@ -326,7 +324,7 @@ def text_options(names: Iterable[str], texts: Collection[str]) -> dict[str, Any]
     names
         All columns.
     texts
-        Those that hold texts, of which only an empty one is missing.
+        Columns of text, in which only an empty cell is missing.
     """
     missing = {}
     kinds = {}
@@ -379,9 +377,9 @@ def read_parquet(
 
 
 def read_schema(path: Path) -> pa.Schema:
-    """Read the schema of a Parquet file, if what it says of itself fits into memory.
+    """Read the schema of a Parquet file, unless its footer is too large.
 
-    Its last eight bytes are the length of that footer (4 bytes) and "PAR1".
+    The last eight bytes are the length of the footer (4 bytes) and "PAR1".
     """
     with require_plain_file(path).open("rb") as file:
         size = file.seek(0, os.SEEK_END)
@@ -398,8 +396,8 @@ def read_schema(path: Path) -> pa.Schema:
 def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[str]]:
     """Check a Parquet file before it is read.
 
-    A few bytes may stand for 4e8 rows, or say that each row repeats a text of 1 MB;
-    texts are therefore to be read as dictionaries.
+    A few bytes may encode 4e8 rows, or the same text of 1 MB in each row. Read texts as
+    dictionaries for that reason.
 
     Parameters
     ----------
@@ -413,7 +411,7 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
     names : list of str
         The columns that hold one value per row.
     texts : list of str
-        Those of them that hold texts or bytes.
+        The columns among them that hold texts or bytes.
 
     Raises
     ------

@@ -20,9 +20,9 @@ from stringcast.data.schema import DataError
 cv2 = LazyModule("cv2")
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv")
-# [bytes] of an image file: more than twice the largest sensors' 16-bit colours unpacked
+# [bytes] of an image file: twice the raw 16-bit colours of the largest sensors
 MAX_IMAGE_BYTES = 1 << 28
-MAX_VIDEO_FRAMES = 1 << 20  # of a video: a quarter of an hour at 1000 a second
+MAX_VIDEO_FRAMES = 1 << 20  # frames: a quarter of an hour at 1000 a second
 VIDEO_SIGNATURES = (b"RIFF", b"\x1aE\xdf\xa3")  # first bytes of AVI and Matroska
 # bytes 4 to 8 of MP4 and QuickTime
 MP4_ATOMS = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")
@@ -47,7 +47,7 @@ class Images(Sequence[np.ndarray]):
 
 @dataclass(frozen=True)
 class ImageFiles(Images):
-    """Image files, their paths relative to `folder`."""
+    """Image files with paths relative to `folder`."""
 
     folder: Path
     files: tuple[str, ...]
@@ -69,7 +69,7 @@ class ImageFiles(Images):
                 f"{path}: it has {size} pixels, the first frame of its trial has "
                 f"{self._first_size}. Store all alike."
             )
-        # imread opens no name beyond ASCII on Windows
+        # on Windows, imread cannot open names beyond ASCII
         content = np.frombuffer(path.read_bytes(), np.uint8)
         image: np.ndarray | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
         if image is None:
@@ -90,7 +90,7 @@ class Video(Images):
     def _capture(self) -> Any:
         with require_plain_file(self.path).open("rb") as file:
             head = file.read(8)
-        # OpenCV would also follow lists of addresses
+        # OpenCV would also open playlists with addresses
         if not (head.startswith(VIDEO_SIGNATURES) or head[4:] in MP4_ATOMS):
             raise DataError(
                 f"{self.path}: no MP4, QuickTime, AVI or Matroska file. "
@@ -115,15 +115,15 @@ class Video(Images):
 
     @property
     def fps(self) -> float:
-        """Frame rate that the file states; of slow motion, maybe of playing [1/s]."""
+        """Stated frame rate [1/s]; for slow motion, it may be that of playback."""
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
     def frame_times(self, fps: float) -> np.ndarray:
-        """Return when each frame was filmed, from 0, (F,) [s].
+        """Return the times of the frames from 0, (F,) [s].
 
-        Phones film at an uneven rate, and their files say when each frame is shown.
-        These times are scaled so that the usual interval is that of the stated rate: a
-        file of slow motion is played at another.
+        Phones film at an uneven rate and store the display time of each frame. These
+        times are scaled so that the median interval matches `fps`, as slow motion is
+        displayed at another rate.
 
         Parameters
         ----------
@@ -140,7 +140,7 @@ class Video(Images):
         return even if is_even else uneven
 
     def _shown_times(self) -> np.ndarray:
-        """Read when each frame is shown, (F,) [ms]."""
+        """Read the display times of the frames, (F,) [ms]."""
         capture = cv2.VideoCapture(str(self.path))
         times = []
         while capture.grab():
@@ -165,7 +165,7 @@ class Video(Images):
 
 
 def image_size(path: Path) -> str:
-    """Read width x height of an image from its first bytes.
+    """Read width and height of an image from its first bytes.
 
     Raises DataError if it would unpack to gigabytes.
     """
@@ -192,7 +192,7 @@ def _refuse_size(path: Path, width: float, height: float) -> None:
 
 
 class CachedImages(Images):
-    """Images cached for repeated use: the last ones read, up to `CACHE_BYTES`."""
+    """Images with a cache of those read last, up to `CACHE_BYTES`."""
 
     def __init__(self, images: Sequence[np.ndarray]) -> None:
         """Cache images, uint8 (height, width), at least one."""
@@ -205,15 +205,15 @@ class CachedImages(Images):
         return self._count
 
     def read(self, index: int) -> np.ndarray:
-        """Read an image, uint8 (height, width), not to be written to."""
+        """Read an image, uint8 (height, width); do not modify it."""
         return self._held(index)
 
 
 class RecentImages(Images):
-    """Images that were just written: the first time from memory, then from the file."""
+    """Recently written images: read once from memory, later from files."""
 
     def __init__(self, files: Images, images: Sequence[np.ndarray]) -> None:
-        """Hold `images` until they are read; later reads use `files`."""
+        """Keep `images` until they are read once; later reads use `files`."""
         self._files, self._kept = files, dict(enumerate(images))
 
     def __len__(self) -> int:

@@ -1,7 +1,7 @@
-"""Samples that a tracker or a log wrote although it saw nothing.
+"""Samples written by a tracker or a log without a measurement.
 
-A tracker that loses a point repeats its last position to the last digit, or writes a
-fixed one such as (0, 0). A log with a second publisher has rows of zeros.
+A tracker that loses a point repeats its last position exactly, or writes a fixed one
+such as (0, 0). A log with a second publisher has rows of zeros.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-MIN_TRACK_SAMPLES = 8  # fewer show nothing
-# A quantised point moves by one step of its grid at a time while it repeats. A held one
-# jumps when it is seen again: by so many grid steps, and so far relative to the extent
-# of all points, below which it does no harm.
+MIN_TRACK_SAMPLES = 8  # shorter tracks are not tested
+# A slow quantised point moves by single steps of its grid. A held point jumps when it
+# is detected again: by at least so many grid steps, and by so much of the extent of all
+# points. Smaller jumps are harmless.
 MIN_JUMP_STEPS = 3.0
 MIN_JUMP_EXTENT = 3e-3
-# Noise repeats a quantised value by chance, and then jumps so far, in at most 1.3 % of
-# the steps, and four times in a row in one of 1e5.
+# By chance, noise repeats a quantised value and then jumps so far in at most 1.3 % of
+# the steps; four repetitions in a row occur once in 1e5.
 MIN_HELD_SHARE = 0.03
 MIN_HELD_REPEATS = 4
-# a fixed position lies so far from the track, relative to its extent, and recurs
+# distance of a fixed position from the track, in extents, and its visits
 MIN_AWAY_EXTENT = 0.1
 MIN_RECURRENCES = 3
-MAX_FIXED_POSITIONS = 3  # the most frequent ones, which are looked at
-MIN_AWAY_SHARE = 0.8  # of the times at which it was written
-# a joint, or the hand, jumps to zero by so many usual steps [rad] or [m]
+MAX_FIXED_POSITIONS = 3  # the most frequent ones are tested
+MIN_AWAY_SHARE = 0.8  # share of visits that begin and end with a jump
+# jump to zero: smallest size [rad] or [m], and ratio to the median step
 MIN_ZERO_JUMP = 0.05
 ZERO_JUMP_RATIO = 10.0
 
 
 @dataclass(frozen=True)
 class LostSamples:
-    """Samples of one trial that hold no measurement.
+    """Samples of one trial without a measurement.
 
-    kind: what was written instead. count: of `total` samples. longest: duration of the
-    longest run of them [s].
+    kind: what was written instead. count: how many of `total` samples. longest:
+    duration of the longest run [s].
     """
 
     trial: str
@@ -59,9 +59,9 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
     is_lost : pandas.Series of bool
         True for a lost point, by the index of `points`.
     found : list of LostSamples
-        What was found, by trial and kind.
+        Lost points by trial and kind.
     """
-    kinds = pd.Series("", index=points.index)  # empty for what was measured
+    kinds = pd.Series("", index=points.index)  # empty for measured points
     found = []
     for trial, rows in points.groupby("trial", sort=False):
         longest: dict[str, float] = {}
@@ -86,17 +86,16 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
 
 
 def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
-    """Find samples that repeat the one before although the point moved on.
+    """Find samples that repeat the previous one while the point moves.
 
-    Points at rest that repeat because they are quantised are not found: they go on
-    where they stopped.
+    Quantised points at rest also repeat, but do not jump afterwards.
 
     Parameters
     ----------
     xy : (K, 2)
         Positions of one place in the order of time.
     extent : float
-        Size of the region in which the whole string moved.
+        Size of the region in which the string moved.
 
     Returns
     -------
@@ -116,15 +115,15 @@ def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
             run = slice(first, last + 1)
             is_held[run] = True
             is_held_long[run] = last - first + 1 >= MIN_HELD_REPEATS
-    # few short repetitions are those of noise
+    # a few short repetitions come from noise
     return is_held if is_held.mean() > MIN_HELD_SHARE else is_held_long
 
 
 def _jumps_when_seen_again(xy: np.ndarray, first: int, last: int, limit: float) -> bool:
     """Return whether a point was elsewhere before a run of repetitions, and after it.
 
-    Three samples decide, because one may be an outlier. A point that comes to rest or
-    leaves its rest is slow on that side. A long run may end the track.
+    The median of three samples is robust to an outlier. A point that stops or starts
+    moves slowly on that side. A long run may end the track.
     """
     place = xy[last]
     jump_to = _distance_to_median(xy[max(first - 4, 0) : first - 1], place)
@@ -134,7 +133,7 @@ def _jumps_when_seen_again(xy: np.ndarray, first: int, last: int, limit: float) 
 
 
 def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
-    """Find samples at one position to which the point jumps again and again.
+    """Find samples at one position to which the point jumps repeatedly.
 
     Parameters
     ----------
@@ -155,7 +154,7 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     if limit == 0:
         return nothing
 
-    # positions (P, 2) that recur, the most frequent first, and (0, 0)
+    # recurring positions and (0, 0), the most frequent first
     positions, number, counts = np.unique(
         xy, axis=0, return_inverse=True, return_counts=True
     )
@@ -163,7 +162,7 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     recurring = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
     by_frequency = recurring[np.argsort(-counts[recurring])]
 
-    # a tracker writes one position for what it lost
+    # a tracker writes the same position for all lost points
     for candidate in by_frequency[:MAX_FIXED_POSITIONS]:
         mask = number.reshape(-1) == candidate
         visits = find_runs(mask)
@@ -180,7 +179,7 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def zero_row_mask(values: np.ndarray) -> np.ndarray:
-    """Find rows of a log that are exactly zero although the hand is elsewhere.
+    """Find rows of a log that are zero while the hand is elsewhere.
 
     Parameters
     ----------
@@ -190,8 +189,8 @@ def zero_row_mask(values: np.ndarray) -> np.ndarray:
     Returns
     -------
     (K,) bool
-        True for a row of zeros that others contradict; a hand at its zero pose moves
-        there and away in small steps.
+        True for a row of zeros with a jump before and after it; a real hand reaches its
+        zero pose in small steps.
     """
     mask = np.zeros(len(values), dtype=bool)
     is_zero = (values == 0).all(axis=1)
@@ -209,7 +208,7 @@ def zero_row_mask(values: np.ndarray) -> np.ndarray:
 
 
 def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
-    """Return the distance of a place from the median of samples; 0 of none."""
+    """Return the distance of a position from the median of samples; 0 without any."""
     return float(np.linalg.norm(np.median(xy, axis=0) - place)) if len(xy) else 0.0
 
 
@@ -218,7 +217,7 @@ def _is_away(
 ) -> bool:
     """Return whether a run of samples lies away from those before and after it.
 
-    must_return: whether the point must also come back to where it was before.
+    must_return: whether the track must continue near its position before.
     """
     neighbours = np.concatenate(
         [xy[max(first - 1, 0) : first], xy[last + 1 : last + 2]]
@@ -232,19 +231,19 @@ def _is_away(
 
 
 def track_extent(xy: np.ndarray) -> float:
-    """Return the size of the region in which most positions lie."""
+    """Return the size of the region with 90 % of the coordinates."""
     low, high = np.quantile(xy, [0.05, 0.95], axis=0)
     return float(np.linalg.norm(high - low))
 
 
 def find_runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return the first and last number of each run of true values."""
+    """Return the first and last index of each run of true values."""
     edges = np.flatnonzero(np.diff(np.pad(mask.astype(int), 1)))
     return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
 def _longest_run(t: np.ndarray, mask: np.ndarray) -> float:
-    """Return the longest time from before a run of samples to behind it [s]."""
+    """Return the longest time between the samples around a run [s]."""
     longest = 0.0
     for first, last in find_runs(mask):
         start = t[max(first - 1, 0)]

@@ -18,15 +18,15 @@ from stringcast.data.file_checks import MAX_PIXELS, read_yaml, require_inside
 from stringcast.data.rows import MIN_SIGMA_M
 from stringcast.data.schema import DataError
 
-FORMAT_VERSION = 1  # of dataset.yaml, stated there under `format`
+FORMAT_VERSION = 1  # key `format` of dataset.yaml
 DATASET_FILE = "dataset.yaml"
 MAX_WIDTH_PX = 2**20  # [px]: OpenCV reads no wider pictures
-MAX_VALUE_CHARACTERS = 200  # characters of a value in a message
-MAX_LENGTH_M = 1000.0  # [m], or mm of a metre: no string is longer in either unit
+MAX_VALUE_CHARACTERS = 200  # characters shown of a value
+MAX_LENGTH_M = 1000.0  # [m]: longer than any string, even in millimetres
 
 
 def _refuse_bool(value: Any) -> Any:
-    """Refuse true and false, which would count as 1 and 0."""
+    """Refuse true and false, which would pass as 1 and 0."""
     if isinstance(value, bool):
         raise ValueError("it must be a number")
     return value
@@ -38,7 +38,7 @@ PositiveNumber = Annotated[float, Field(gt=0, allow_inf_nan=False), NotBool]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotBool]
 PixelCount = Annotated[int, Field(ge=16, le=MAX_WIDTH_PX), NotBool]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
-UNSET: Any = None  # of a key that may be left out, but needs a value if it is there
+UNSET: Any = None  # default of keys that are optional but must not be null
 FAULT_WORDS = {
     "model_type": "it must hold names and values",
     "dict_type": "it must hold names and values",
@@ -102,7 +102,7 @@ class ArmBlock(Block):
 class LensBlock(BaseModel):
     """The block `camera.lens` of dataset.yaml.
 
-    focal: lengths fx, fy [px]. centre: of the picture cx, cy [px]. distortion: k1, k2,
+    focal: lengths fx, fy [px]. centre: principal point cx, cy [px]. distortion: k1, k2,
     p1, p2 of OpenCV.
     """
 
@@ -115,9 +115,9 @@ class LensBlock(BaseModel):
 class CameraBlock(Block):
     """The block `camera` of dataset.yaml.
 
-    fps: as filmed [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: of the
-    world's origin [px]. distortion: radial, of the squared share of half the picture's
-    width, without a lens. rotation, tilt: [rad].
+    fps: of filming [1/s]. width, height: [px]. px_per_m: [px/m]. origin_px: position of
+    the world's origin [px]. distortion: radial coefficient, with radii in half widths;
+    not with `lens`. rotation, tilt: [rad].
     """
 
     fps: PositiveNumber = UNSET
@@ -148,8 +148,8 @@ class CameraBlock(Block):
 class ClockBlock(BaseModel):
     """The block `clock` of dataset.yaml.
 
-    low, high: 95 % interval of what is still to be added to the times of points [s].
-    added: what `import` has added already, for all trials or by trial [s].
+    low, high: 95 % interval of the remaining offset to add to times of points [s].
+    added: offset that `import` has added, for all trials or by trial [s].
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -167,8 +167,8 @@ class ClockBlock(BaseModel):
 class TrialBlock(Block):
     """The block of one trial in dataset.yaml.
 
-    role: held_out trials measure the gain. initial: whether the string rests when the
-    trial begins. invalid: why it is not to be used.
+    role: held_out trials measure the gain. initial: rest or moving. invalid: reason to
+    exclude the trial.
     """
 
     role: str | None = None

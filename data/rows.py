@@ -1,4 +1,4 @@
-"""Rows of measured tables: read from CSV, and cleaned of rows that cannot be used.
+"""Reading of measured tables from CSV, and removal of unusable rows.
 
 Dropped rows are counted by reason.
 """
@@ -17,34 +17,33 @@ from stringcast.data.file_checks import check_csv, read_frame, text_options
 from stringcast.data.lost_samples import LostSamples, find_lost_points, zero_row_mask
 from stringcast.data.schema import DataError, Table
 
-MAX_VALUE = 1e9  # a metre in nanometres: no measured distance is larger in any unit
-MAX_TIME_S = 1e19  # [s], or nanoseconds since 1970, of which there are 2e18
-# [m] of a coordinate: an atom's size, and its square is far from zero
+MAX_VALUE = 1e9  # a metre in nanometres
+MAX_TIME_S = 1e19  # nanoseconds since 1970 are 2e18
+# [m]: size of an atom; its square does not underflow
 MIN_SIGMA_M = 1e-9
-ARC_LENGTH_ROUNDING_M = 1e-6  # [m] below zero that an arc length may be by rounding
+ARC_LENGTH_ROUNDING_M = 1e-6  # negative arc length accepted as rounding
 MOTION_TABLES = (ARM.name, GRASP.name)
-MIN_SPIKE = 2e-3  # [m] or [rad] by which a spike exceeds its neighbours
+MIN_SPIKE = 2e-3  # [m] or [rad] above the neighbours
 SPIKE_RATIO = 10.0  # ratio of a spike to the median deviation around it
-SPIKE_WINDOW_SAMPLES = 11  # samples of that median
-# Fraction of a spike by which its neighbours seem off the other way, as they do not in
-# a real motion.
+SPIKE_WINDOW_SAMPLES = 11  # window of the median deviation
+# A spike makes its neighbours deviate the other way, by at least this fraction. Real
+# motion does not.
 MIN_RETURN_FRACTION = 0.25
-# rows that share a time, from which times of a trial say nothing of the single row
+# shared times: rows per distinct time, in trials of at least so many rows
 MIN_ROWS_PER_TIME = 2.0
 MIN_TIMED_ROWS = 5
-TURN_JUMP_RAD = 1.5 * np.pi  # so large a step between two samples is a wrapped angle
-MAX_WRAPPED_RANGE_RAD = 2 * np.pi + 0.01  # a turn, and rounding
+TURN_JUMP_RAD = 1.5 * np.pi  # larger steps between samples are wraps
+MAX_WRAPPED_RANGE_RAD = 2 * np.pi + 0.01  # a turn plus rounding
 
 
 @dataclass(frozen=True)
 class RowCounts:
     """Counts of a file's rows.
 
-    total: rows in the file. dropped: unusable ones by reason. unordered: rows earlier
-    than the row before them of the same trial (and arc length). lost: points that a
-    tracker wrote without seeing them, which are dropped, too. timeless: trials whose
-    times say nothing of the single row, with the reason. unwrapped: trials of each
-    joint whose angles were wrapped.
+    total: rows in the file. dropped: unusable rows by reason. unordered: rows earlier
+    than the previous row of the same trial and point. lost: points written by a tracker
+    without a detection; also dropped. timeless: trials whose times are not those of
+    single rows, with the reason. unwrapped: trials with wrapped angles, by joint.
     """
 
     total: int
@@ -56,15 +55,15 @@ class RowCounts:
 
     @property
     def missing(self) -> int:
-        """How many rows are not used."""
+        """Number of unused rows."""
         return sum(self.dropped.values()) + sum(one.count for one in self.lost)
 
 
 def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
     """Read a table from CSV.
 
-    A text in a column of numbers becomes NaN, unless the column holds no number at all.
-    Names keep their leading zeros.
+    Text in a column of numbers becomes NaN if the column holds any number. Names keep
+    their leading zeros.
 
     Parameters
     ----------
@@ -140,7 +139,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     rows.drop(reason, rows.frame.duplicated(keys))
 
     usable = rows.frame.assign(trial=rows.frame["trial"].map(str))
-    series = [name for name in keys if name != "t"]  # points may be listed by place
+    series = [name for name in keys if name != "t"]  # one point may follow another
     unordered = int((usable.groupby(series)["t"].diff() < 0).sum())
     rows.frame = usable.sort_values(["trial", "t"], kind="stable")
     lost: list[LostSamples] = []
@@ -163,7 +162,7 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
 def _drop_impossible_values(
     rows: RowFilter, texts: Sequence[str], numbers: Sequence[str]
 ) -> None:
-    """Drop rows in which a required text is missing, or a number cannot be."""
+    """Drop rows with missing required texts or impossible numbers."""
     for name in texts:
         rows.drop(f"no {name}", rows.frame[name].isna())
     for name in numbers:
@@ -181,10 +180,7 @@ def _drop_impossible_values(
 
 
 def _hand_spikes(frame: pd.DataFrame, columns: Sequence[str]) -> pd.Series:
-    """Find rows of angles or poses that jump away and back, by the index of `frame`.
-
-    Rows of zeros are another error.
-    """
+    """Find rows of angles or poses that jump away and back; ignore zero rows."""
     is_spike = pd.Series(False, index=frame.index)
     for _, trial in frame.groupby("trial", sort=False):
         values = trial[columns].to_numpy()
@@ -194,19 +190,19 @@ def _hand_spikes(frame: pd.DataFrame, columns: Sequence[str]) -> pd.Series:
 
 
 def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, str]:
-    """Find trials in which many rows of one place share a time.
+    """Find trials in which many rows of one point share a time.
 
     Parameters
     ----------
     frame
         Rows without repetitions.
     keys
-        Columns that should name a row, `t` among them.
+        Columns that should identify a row, `t` among them.
 
     Returns
     -------
     dict
-        What was found, by trial.
+        Descriptions by trial.
     """
     places = [name for name in keys if name != "t"]
     if len(places) == len(keys):
@@ -225,9 +221,9 @@ def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, 
 
 
 def describe_shared_times(t: np.ndarray, unit: str = "") -> str:
-    """Describe times (K,) that say nothing of the single row; empty if they do.
+    """Describe times (K,) that are not those of single rows; empty if they are.
 
-    unit: of the times, with a space behind it.
+    unit: of the times, followed by a space.
     """
     distinct = np.unique(t)
     if len(t) < MIN_TIMED_ROWS or len(distinct) * MIN_ROWS_PER_TIME > len(t):
@@ -263,7 +259,7 @@ def unwrap_angles(
         for joint in joints:
             angles = trial[joint].to_numpy()
             is_jump = np.abs(np.diff(angles)) > TURN_JUMP_RAD
-            # angles in degrees jump, too, and range farther
+            # angles in degrees also jump, but have a larger range
             if is_jump.any() and np.ptp(angles) < MAX_WRAPPED_RANGE_RAD:
                 frame.loc[trial.index, joint] = np.unwrap(angles, discont=TURN_JUMP_RAD)
                 unwrapped[joint] = (*unwrapped.get(joint, ()), str(name))
@@ -286,7 +282,7 @@ def spike_mask(t: np.ndarray, values: np.ndarray) -> np.ndarray:
         True for a spike.
     """
     is_spike = np.zeros(len(t), dtype=bool)
-    if len(t) < 5:  # a sample is compared with two on each side
+    if len(t) < 5:  # needs two samples on each side
         return is_spike
     # distance of each sample from the line between its neighbours
     share = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])

@@ -1,4 +1,4 @@
-"""Schemas of tables: what a column is called, measured in, and means.
+"""Schemas of tables: name, unit and meaning of each column.
 
 A `Table` is the schema of one Parquet file. `check` gives any data frame the
 declared columns, or names the wrong one. `arrow_schema` is the schema for pyarrow, with
@@ -67,7 +67,7 @@ def parse_columns(text: str) -> tuple[Column, ...]:
     ----------
     text
         Lines such as ``count [1] (int, optional): how many motions``. A line that is
-        indented farther continues the one before. Numbers of kind float need no kind.
+        indented farther continues the previous one. The default kind is float.
 
     Returns
     -------
@@ -112,12 +112,12 @@ class Table:
         frame
             Any frame with the columns that are not optional.
         source
-            Where it comes from, for messages.
+            Name of its source, for messages.
 
         Returns
         -------
         pandas.DataFrame
-            The known columns, then the others as they are.
+            The known columns, then the unchanged others.
 
         Raises
         ------
@@ -157,14 +157,14 @@ def tables_by_name(*tables: Table) -> dict[str, Table]:
 
 
 def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
-    """Give values the type of a column; raise DataError naming one that has another."""
+    """Cast values to the type of a column; raise DataError naming a wrong one."""
     dtype = PANDAS_TYPES[column.kind]
-    if values.dtype == dtype:  # a cast would take 200 times as long
+    if values.dtype == dtype:  # a cast takes 200 times as long
         return values
     try:
         if column.kind == "bool" and values.dtype != bool:
             if any(isinstance(value, str) for value in values):
-                raise ValueError("give true or false")  # else any text counts as true
+                raise ValueError("give true or false")  # not any text as true
             values = values.where(values.notna(), False)  # a missing value is false
         return values.astype(dtype)
     except (ValueError, TypeError) as error:

@@ -1,10 +1,9 @@
-"""The store of artifacts, in which nothing half-written is ever read as whole.
+"""The store of artifacts, written atomically.
 
 An artifact is a folder with one Parquet file for each of its tables, and the frames of
-a trial under the names in its table `frames`. It is written under another name in the
-same folder, every file closed, read back and synced, and only then renamed, so that it
-appears whole or not at all. The Parquet footer holds the origin of a file: what made
-it.
+a trial under the names in its table `frames`. It is written under a temporary name in
+the same folder; when all files are closed, checked and synced, it is renamed. So it
+appears whole or not at all. The Parquet footer holds the origin of a file.
 """
 
 from __future__ import annotations
@@ -41,14 +40,14 @@ ORIGIN_TYPES = {
     "packages": dict,
     "made": dict,
 }
-DIGEST_COLUMN = "sha256"  # of the table `frames`
-MAX_INPUTS = 10_000  # of a step: up to three for each trial
-CHUNK_BYTES = 2**20  # [bytes] of a file that are hashed at a time
+DIGEST_COLUMN = "sha256"  # column of the table `frames`
+MAX_INPUTS = 10_000  # per step: up to three for each trial
+CHUNK_BYTES = 2**20  # [bytes] hashed at a time
 READ_ERRORS = file_checks.READ_ERRORS
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
-    """Write an artifact as a folder, replacing one of that name.
+    """Write an artifact as a folder, replacing an existing one.
 
     Parameters
     ----------
@@ -57,14 +56,13 @@ def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
     folder
         The folder to write.
     origin
-        What made the artifact, as values of JSON; it goes into the footer of every
-        table.
+        Origin of the artifact as JSON values, written to the footer of every table.
 
     Raises
     ------
     DataError
-        If the folder cannot be written. A former folder is then still there; only a
-        kill between the two renames of a replacement leaves neither.
+        If the folder cannot be written; a former folder stays. Only a kill between the
+        two renames of a replacement leaves neither.
     """
     with write_atomically(folder) as part:
         disk.make_folder(part)
@@ -104,7 +102,7 @@ def load(kind: type[Artifact], folder: Path) -> Artifact:
     Returns
     -------
     Artifact
-        The artifact; its images are read when they are used.
+        The artifact; images are read on first use.
 
     Raises
     ------
@@ -151,7 +149,7 @@ def load_images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
 def write_table(
     table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]
 ) -> None:
-    """Write one table as a Parquet file, whole or not at all.
+    """Write one table atomically as a Parquet file.
 
     Parameters
     ----------
@@ -162,7 +160,7 @@ def write_table(
     path
         The file to write.
     origin
-        What made the table, as values of JSON.
+        Origin of the table as JSON values.
 
     Raises
     ------
@@ -201,7 +199,8 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
     needed = [column.name for column in table.columns]
     remedy = "Restore it or delete it and run again."
     frame, metadata = file_checks.read_parquet(path, remedy, needed)
-    name = metadata.get(b"table", table.name.encode()).decode()  # others write no name
+    # foreign files have no name
+    name = metadata.get(b"table", table.name.encode()).decode()
     if name != table.name:
         raise DataError(
             f"{path}: holds the table '{name}', not '{table.name}'. "
@@ -211,10 +210,10 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
 
 
 def read_origin(path: Path) -> dict[str, Any]:
-    """Read what made a Parquet file, or the first one in a folder.
+    """Read the origin of a Parquet file, or of the first one in a folder.
 
-    The result is empty for a file of another program. Raises DataError for a folder
-    without tables, a damaged file, and a footer of another shape.
+    It is empty for a file of another program. Raises DataError for a folder without
+    tables, a damaged file or a malformed footer.
     """
     if path.is_dir():
         folder, path = path, min(path.glob("*.parquet"), default=path)
@@ -240,7 +239,7 @@ def read_origin(path: Path) -> dict[str, Any]:
 
 
 def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
-    """Return whether the parts of an origin that are there have the right types."""
+    """Return whether all present parts of an origin have the right types."""
     for name, kind in ORIGIN_TYPES.items():
         if not isinstance(origin.get(name, kind()), kind):
             return False
@@ -254,12 +253,12 @@ def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
+    """Write a text file atomically."""
     write_bytes(path, text.encode())
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file atomically."""
     with write_atomically(path) as part:
         disk.write(part, content)
 
@@ -267,10 +266,9 @@ def write_bytes(path: Path, content: bytes) -> None:
 def content_hash(path: Path) -> str:
     """Hash a file's content, or a folder's files and their names (SHA-256).
 
-    An image that was not kept counts by the digest that the table `frames` records.
-
-    Of a Parquet file the columns count, with their types and units, not the origin in
-    its footer: the same numbers have the same hash, whichever run they come from.
+    The hash of a Parquet file covers columns, types and units, not the origin in its
+    footer: equal numbers of different runs have equal hashes. For an image that was not
+    kept, the digest in the table `frames` is used.
     """
     if path.is_file():
         return _file_hash(path)
@@ -292,14 +290,13 @@ def _file_hash(file: Path) -> str:
     with file.open("rb") as content:
         size = file.stat().st_size
         if file.suffix == ".parquet":
-            # It ends with the footer, the footer's length (4 bytes) and "PAR1"; before
-            # that are the pages of the columns.
+            # layout: pages of the columns, footer, its length (4 bytes), "PAR1"
             schema = file_checks.read_schema(file).remove_metadata()
             digest.update(schema.serialize().to_pybytes())
             end = content.seek(-8, os.SEEK_END)
             size = end - int.from_bytes(content.read(4), "little")
             content.seek(0)
-        # a film may be larger than the memory
+        # a film may exceed the memory
         while size > 0 and (piece := content.read(min(CHUNK_BYTES, size))):
             size -= len(piece)
             digest.update(piece)
@@ -307,7 +304,7 @@ def _file_hash(file: Path) -> str:
 
 
 def _image_digests(folder: Path) -> dict[str, str]:
-    """Return the digests of a trial's images by file, as its table records them."""
+    """Return the recorded digests of a trial's images, by file."""
     path = folder / "frames.parquet"
     if not path.is_file():
         return {}
@@ -325,7 +322,7 @@ def _image_digests(folder: Path) -> dict[str, str]:
 
 
 def damaged_image(folder: Path) -> str:
-    """Return the file of a trial's first image that is not as recorded, or nothing."""
+    """Return the first image whose digest differs from the recorded one, if any."""
     for name, recorded in _image_digests(folder).items():
         if file_checks.is_file_inside(folder, name):
             file = folder / name
@@ -336,7 +333,7 @@ def damaged_image(folder: Path) -> str:
 
 
 def images_not_kept(folder: Path) -> frozenset[str]:
-    """Return the names of a trial's image files that its table records and are gone."""
+    """Return the recorded image files of a trial that do not exist any more."""
     names = _image_digests(folder)
     return frozenset(Path(n).name for n in names if not (folder / n).is_file())
 
@@ -344,10 +341,7 @@ def images_not_kept(folder: Path) -> frozenset[str]:
 def _write_parquet(
     table: Table, frame: pd.DataFrame, path: Path, origin: Mapping[str, Any]
 ) -> None:
-    """Write a table and read its size back.
-
-    The same content gives the same bytes.
-    """
+    """Write a table, equal content as equal bytes, and check its row count."""
     checked = table.check(frame, path.name)
     schema = table.arrow_schema(checked)
     metadata = dict(schema.metadata or {})
@@ -364,9 +358,9 @@ def _write_parquet(
 
 @contextmanager
 def write_atomically(path: Path) -> Iterator[Path]:
-    """Give a name in the same folder to write to, which becomes `path` on success.
+    """Yield a temporary name in the same folder; rename it to `path` on success.
 
-    On failure the part is removed, and a former file stays.
+    On failure, remove it and keep the former file.
     """
     part = _sibling_name(path)
     try:
@@ -385,12 +379,12 @@ def write_atomically(path: Path) -> Iterator[Path]:
 
 
 def _sibling_name(path: Path, role: str = "part") -> Path:
-    """Make a new name in the same folder, and so on the same disk."""
+    """Make a new name in the same folder, on the same disk."""
     return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.{role}")
 
 
 def _remove_leftovers(path: Path) -> None:
-    """Remove what a failed or killed write of `path` left, but never the only copy."""
+    """Remove leftovers of failed or killed writes, except the only copy."""
     pattern = re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|replaced)"
     with suppress(OSError):
         for file in path.parent.iterdir():
@@ -402,7 +396,7 @@ def _remove_leftovers(path: Path) -> None:
 def _move_into_place(part: Path, path: Path) -> None:
     """Rename `part` to `path`.
 
-    A folder of that name is renamed first, for no system replaces a full one.
+    An existing folder is moved away first, as no system replaces a non-empty one.
     """
     if not path.is_dir():
         disk.rename(part, path)

@@ -1,4 +1,4 @@
-"""Files of a dataset's tables: found, and read without unusable rows."""
+"""Finding the table files of a dataset, and reading their usable rows."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from stringcast.data.schema import Column, DataError, Table
 from stringcast.data.store import DIGEST_COLUMN, read_table
 
 TRIAL_COLUMN = Column("trial", "", "name of the trial", "text")
-RUN_TABLES = (ARM, FRAMES, POINTS, READINGS, MASKS)  # of trials of ours
-MAX_TRIALS = 4000  # each takes a millisecond to separate, and seconds to simulate once
+RUN_TABLES = (ARM, FRAMES, POINTS, READINGS, MASKS)  # tables of our own runs
+MAX_TRIALS = 4000  # each takes seconds to simulate once
 ENDINGS = (".parquet", ".csv")
 
 
@@ -42,9 +42,9 @@ def find_table(folder: Path, name: str) -> Path | None:
 def read_rows(
     table: Table, folder: Path, row_counts: dict[str, RowCounts]
 ) -> pd.DataFrame:
-    """Read one table in the order of time, without unusable rows.
+    """Read the usable rows of one table in the order of time.
 
-    The counts of dropped rows go into `row_counts`.
+    Store the counts of dropped rows in `row_counts`.
     """
     path = find_table(folder, table.name)
     if path is None:
@@ -60,7 +60,7 @@ def read_rows(
     read = read_csv_table if path.suffix == ".csv" else read_table
     frame = read(schema, path)
     _refuse_odd_trials(frame["trial"].unique(), path)
-    if table in (READINGS, MASKS):  # NaN is a value in these
+    if table in (READINGS, MASKS):  # their NaN are valid
         frame = frame.sort_values(["trial", "t"], kind="stable")
         return frame.reset_index(drop=True)
     if table is FRAMES:
@@ -76,7 +76,7 @@ def read_rows(
 
 
 def _refuse_odd_trials(names: Sequence[str], path: Path) -> None:
-    """Refuse too many trials, and names that would steer a terminal."""
+    """Refuse too many trials, and names with control characters."""
     if len(names) > MAX_TRIALS:
         raise DataError(
             f"{path}: it holds {len(names)} trials, at most {MAX_TRIALS} are read. "
@@ -91,10 +91,7 @@ def _refuse_odd_trials(names: Sequence[str], path: Path) -> None:
 
 
 def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
-    """Replace missing files of frames by NaN, and refuse one outside the folder.
-
-    A missing file is one frame lost; a file elsewhere is not ours to show.
-    """
+    """Replace missing image files by NaN, and refuse files outside the folder."""
     exists = files.map(lambda file: is_file_inside(folder, str(file))).astype(bool)
     for file in files[~exists].dropna():
         if is_outside(folder, str(file)):
@@ -107,7 +104,7 @@ def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
 
 
 def _missing_table_remedy(folder: Path) -> str:
-    """Write the remedy for a missing table: files of other names may hold it."""
+    """Describe the remedy for a missing table, which may have another name."""
     # runs lie in outputs/<date>/<time>-<name>; the newest is last
     runs = sorted(folder.glob(f"*/*/{DATASET_FILE}"))
     inner = [*sorted(folder.glob(f"*/{DATASET_FILE}")), *reversed(runs)]

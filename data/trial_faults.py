@@ -16,16 +16,15 @@ from stringcast.data.schema import Table
 from stringcast.data.table_files import TRIAL_COLUMN
 
 UNIX_TIME_RANGE_S = (1e9, 4e9)  # [s]: 2001 to 2096
-MIN_OVERLAP_S = 0.1  # [s] that arm and camera must have in common
-MIN_FRAMES = 3  # in which the string was seen
+MIN_OVERLAP_S = 0.1  # [s] of common time of arm and camera
+MIN_FRAMES = 3  # frames with the string
 
 
 @dataclass(frozen=True)
 class TrialFault:
     """The reason why a trial cannot be used.
 
-    file: dataset.yaml, or the name of the table with the fault. field: key or column
-    there.
+    file: dataset.yaml or the name of a table. field: key or column in it.
     """
 
     reason: str
@@ -37,9 +36,9 @@ class TrialFault:
 def find_timeless_fault(
     name: str, row_counts: Mapping[str, RowCounts]
 ) -> TrialFault | None:
-    """Find times of a trial that say nothing of the single row; None if there are none.
+    """Find tables with times that are not those of single rows; None without any.
 
-    row_counts: of the tables by file.
+    row_counts: counts of the tables by file.
     """
     for file, counts in row_counts.items():
         if name in counts.timeless:
@@ -60,10 +59,10 @@ def find_fault(
     block: Mapping[str, Any],
     start: float,
 ) -> TrialFault | None:
-    """Find out why a trial cannot be used; None if it can.
+    """Find the reason why a trial cannot be used; None if it can.
 
-    hand: schema of its motion. block: its entry in dataset.yaml. start: what was
-    subtracted from all its times [s].
+    hand: schema of its motion. block: its entry in dataset.yaml. start: offset
+    subtracted from its times [s].
     """
     if block.get("invalid"):
         return TrialFault(
@@ -104,7 +103,7 @@ def find_fault(
 def _find_clock_fault(
     motion: np.ndarray, seen: np.ndarray, table: str, start: float
 ) -> TrialFault | None:
-    """Find out why the times of a trial cannot be used; None if they can.
+    """Find the reason why the times of a trial cannot be used; None if they can.
 
     Parameters
     ----------
@@ -113,9 +112,9 @@ def _find_clock_fault(
     seen
         Times at which the string was seen (F,) [s].
     table
-        The table of these.
+        Name of the table with the times `seen`.
     start
-        What was subtracted from all times [s].
+        Offset subtracted from all times [s].
     """
     if len(seen) < MIN_FRAMES:
         reason = f"the string was seen in {len(seen)} frame(s) only"

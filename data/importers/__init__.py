@@ -1,4 +1,4 @@
-"""Files of other programs, read into plain tables of named columns.
+"""Readers of foreign files, into plain tables of named columns.
 
 Each file format has a module with `recognises` and `read`. `columns` interprets
 the names of columns, and `gather` combines recordings into the tables of our format.
@@ -16,10 +16,10 @@ import pandas as pd
 class SourceRecording:
     """The content of a foreign file.
 
-    file: where it was read. table: columns of numbers or texts, one row per sample;
-    empty for a film. name: of the trial, where a file holds several recordings. film:
-    the video file, if it is one. angle_question: why the user must state the unit of
-    angles, where the format leaves it open. notes: what the reader decided, for people.
+    file: the source. table: columns of numbers or texts, one row per sample; empty for
+    a film. name: trial name, if a file holds several recordings. film: the video file,
+    if any. angle_question: question to the user if the format leaves the unit of angles
+    open. notes: decisions of the reader.
     """
 
     file: Path

@@ -1,7 +1,6 @@
 """The meaning of a column from its name.
 
-Names such as `joint1_deg`, `Time (Seconds)`, `tip_x_mm` and `actual_TCP_pose_0` are
-understood.
+Examples: `joint1_deg`, `Time (Seconds)`, `tip_x_mm` and `actual_TCP_pose_0`.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ FRAME_WORDS = _words("frame frames")
 INDEX_WORDS = _words("index idx number num no nr id")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
 JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
-# joints of serial arms named for what they turn, base first, as ROS drivers do
+# joints of serial arms named by body part, base first, as in ROS drivers
 NAMED_JOINTS = (
     ("shoulder pan", "1"),
     ("shoulder lift", "2"),
@@ -80,7 +79,7 @@ NON_POSITION_WORDS = _words(
 FILLER_WORDS = _words(
     "pos position positions coord pose actual measured state ik of the observation"
 )
-# one over a second, as in `deg/s` and `mm_per_s`
+# per second, as in `deg/s` and `mm_per_s`
 RATE_UNIT = re.compile(r"(/|_per_|\*\*-|\^-)\s*s")
 
 
@@ -93,7 +92,7 @@ class ColumnMeaning:
     kind
         `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`.
     name
-        Number of a joint, or name of a point or of the body that is the hand.
+        Number of a joint, or name of a point or of the hand.
     axis
         `x`, `y`, `z`, `angle`, a component of a quaternion, `likelihood`, `valid` or
         `sigma`.
@@ -141,7 +140,7 @@ def column_meaning(column: str) -> ColumnMeaning:
 
 
 def stated_unit(column: str, kind: str) -> str:
-    """Find the unit in a column's name that suits a kind of meaning; empty if none."""
+    """Find the unit in a column's name that fits its kind; empty if none."""
     unit = _unit_word(split_words(column))
     if unit in PIXEL_WORDS:
         return "px"
@@ -166,7 +165,7 @@ def _is_rate(column: str, words: Sequence[str]) -> bool:
 
 
 def _unit_word(words: Sequence[str]) -> str:
-    """Find the last unit among the words of a name; the first word is no unit."""
+    """Find the last unit in a name, after its first word."""
     units = [word for word in words[1:] if word in UNITS]
     return units[-1] if units else ""
 
@@ -204,7 +203,7 @@ def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
 
 
 def _named_joint(words: Sequence[str]) -> str:
-    """Find the number of a joint that is named for what it turns; empty if none is."""
+    """Find the number of a joint named by body part; empty if there is none."""
     text = f" {' '.join(words)} "
     others = {"x", "y", "z", "u", "v", *QUATERNION_AXES, *QUALITY_WORDS}
     if not others.isdisjoint(words):
@@ -217,7 +216,7 @@ def _named_joint(words: Sequence[str]) -> str:
 
 
 def _angle_meaning(words: Sequence[str], unit: str, is_hand: bool) -> ColumnMeaning:
-    """Interpret the name of the hand's direction, or of a numbered joint's angle."""
+    """Interpret the name of an angle, of the hand or of a numbered joint."""
     numbers = [word for word in words if word.isdigit()]
     unit = _unit_if_in(unit, ANGLE_UNITS)
     is_alone = len(words) == 1 and not numbers

@@ -1,4 +1,4 @@
-"""Tables of points of DeepLabCut (https://deeplabcut.github.io).
+"""Point tables of DeepLabCut (https://deeplabcut.github.io).
 
 They are CSV with three or four lines of headings.
 """
@@ -11,12 +11,12 @@ from stringcast.data.file_checks import begins_with, check_csv, read_frame
 from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
-# the first cell of each line of headings
+# first cells of the heading lines
 HEADINGS = ("scorer", "individuals", "bodyparts", "coords")
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file begins as DeepLabCut's CSV does."""
+    """Return whether a file begins like CSV of DeepLabCut."""
     return path.suffix.lower() == ".csv" and begins_with(path, "scorer,", "utf-8")
 
 
@@ -54,6 +54,6 @@ def read(path: Path) -> list[SourceRecording]:
 
 
 def column_name(part: str, coordinate: str) -> str:
-    """Name a column by its content: `tip x [px]`, `tip likelihood`."""
+    """Name a column, such as `tip x [px]` or `tip likelihood`."""
     unit = " [px]" if coordinate in ("x", "y") else ""
     return f"{part} {coordinate}{unit}"

@@ -1,8 +1,7 @@
 """Tables of DeepLabCut in HDF5, as pandas stores them (`df_with_missing/table`).
 
-They need h5py. pandas would read them by PyTables, which unpickles whatever attributes
-hold. Here only the names of columns are unpickled, by a reader that knows lists, tuples
-and texts and calls nothing.
+They need h5py. pandas would use PyTables, which unpickles any attribute and may run
+code. Here a restricted reader of lists, tuples and texts unpickles the column names.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ from stringcast.data.schema import DataError
 
 TABLE_PATH = "df_with_missing/table"
 VALUES_COLUMN = "values_block_0"
-# [bytes] of the attribute with the names: HDF5 stores no longer ones
+# [bytes] of the attribute with the names: the limit of HDF5
 MAX_NAMES_BYTES = 2**16
 
 
 class _TextUnpickler(pickle.Unpickler):
-    """Unpickler of numbers, texts, lists and tuples, which refuses any call."""
+    """Unpickler of numbers, texts, lists and tuples that refuses all calls."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
-        """Refuse to look a class up: nothing in the file may run."""
+        """Refuse all classes, so that no code of the file runs."""
         raise pickle.UnpicklingError(f"it names {module}.{name}")
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file's name ends as HDF5's do."""
+    """Return whether a file has the suffix of HDF5."""
     return path.suffix.lower() in (".h5", ".hdf5")
 
 
@@ -78,7 +77,7 @@ def read(path: Path) -> list[SourceRecording]:
 def _unpickle_names(pickled: bytes) -> list[str]:
     """Name the columns from pickled tuples of scorer, point and coordinate.
 
-    Raises ValueError if there are no such tuples.
+    Raises ValueError for anything else.
     """
     columns: Any = _TextUnpickler(io.BytesIO(pickled[:MAX_NAMES_BYTES])).load()
     if not isinstance(columns, list) or len(columns) > MAX_COLUMNS:

@@ -19,7 +19,7 @@ from stringcast.data.importers import (
 )
 from stringcast.data.schema import DataError
 
-# the first that recognises a file reads it
+# the first reader that recognises a file reads it
 READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)
 
 

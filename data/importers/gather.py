@@ -1,4 +1,4 @@
-"""Combination of recordings of arms and trackers into tables of our format."""
+"""Combination of arm and tracker recordings into tables of our format."""
 
 from __future__ import annotations
 
@@ -56,18 +56,18 @@ class ImportedTables:
     motion
         Motion of the hand: trial, t [s] and q1, q2 ... [rad] or x, y [m], theta [rad].
     points
-        Points of the string: trial, t [s], point (its name), x, y [m], and s [m],
-        sigma [m], valid where the files have them.
+        Points of the string: trial, t [s], point (its name), x, y [m]; s [m], sigma [m]
+        and valid if the files have them.
     films
         Video files by trial.
     used_columns
-        Every column that is used.
+        Used columns.
     unused_columns
         Unused columns by file.
     notes
-        What the readers decided, for people.
+        Decisions of the readers.
     zero_rows
-        How many rows of the hand's log are exactly zero among others, by file.
+        Number of zero rows among others in the hand's log, by file.
     """
 
     motion: pd.DataFrame
@@ -98,7 +98,7 @@ class RecordingParts:
     used_columns
         The columns that were read.
     zero_count
-        How many kept rows of the motion are exactly zero among others.
+        Number of kept zero rows among others in the motion.
     """
 
     motion: pd.DataFrame | None = None
@@ -110,7 +110,7 @@ class RecordingParts:
 def gather_tables(
     recordings: Sequence[SourceRecording], hints: ColumnHints
 ) -> ImportedTables:
-    """Combine all recordings, each trial under one name.
+    """Combine all recordings, matched by trial.
 
     Parameters
     ----------
@@ -169,9 +169,9 @@ def gather_tables(
 def _list_used_columns(
     parts: Sequence[tuple[SourceRecording, RecordingParts]],
 ) -> tuple[list[UsedColumn], dict[Path, list[str]]]:
-    """List the columns that were used, and by file the names of those that were not.
+    """List the used columns, and the unused ones by file.
 
-    Several trials of one file have the same columns.
+    Trials of one file share columns.
     """
     used: dict[tuple[Path, str, str], UsedColumn] = {}
     unused = {}
@@ -187,7 +187,7 @@ def _list_used_columns(
 def _count_zero_rows(
     parts: Sequence[tuple[SourceRecording, RecordingParts]],
 ) -> dict[Path, int]:
-    """Count the rows of zeros among others in each file that has any."""
+    """Count the zero rows among others, for each file that has any."""
     counts: Counter[Path] = Counter()
     for recording, part in parts:
         counts[recording.file] += part.zero_count
@@ -227,9 +227,9 @@ def _refuse_incomplete(recordings: Sequence[SourceRecording], fault: str) -> Non
 def _match_column(
     text: str, recording: SourceRecording
 ) -> tuple[str, float, float] | None:
-    """Find the column that a text of --map names.
+    """Find the column for an argument of --map.
 
-    Returns its name, its sign, and its shift in the column's own unit.
+    Returns its name, its sign, and its shift in the column's unit.
     """
     names = [str(name) for name in recording.table]
     if text in names:
@@ -250,7 +250,7 @@ def _match_column(
 def _interpret_columns(
     recording: SourceRecording, hints: ColumnHints
 ) -> list[SourceColumn]:
-    """Interpret the columns of a recording, first those that the user named."""
+    """Interpret the columns of a recording; mappings of the user take precedence."""
     mapped = _mapped_columns(recording, hints)
     mapped_kinds = _kinds_and_axes(mapped.values())
     kinds = {kind for kind, _ in mapped_kinds}
@@ -261,7 +261,7 @@ def _interpret_columns(
         meaning = column_meaning(name)
         is_motion = meaning.kind in ("joint", "hand")
         is_position = meaning.kind == "point" and meaning.axis in ("x", "y", "z")
-        # a user who names one joint names all, and so with points
+        # mapping one joint or point requires mapping all of them
         is_replaced = (
             (is_motion and not kinds.isdisjoint(("joint", "hand")))
             or (is_position and "point" in kinds)
@@ -269,7 +269,7 @@ def _interpret_columns(
         )
         if meaning.kind != "other" and not is_replaced:
             columns.append(SourceColumn(name, meaning))
-    # x and y without a name, with an angle and without arc lengths, are the hand's
+    # unnamed x and y belong to the hand if there is an angle and no arc length
     all_kinds = _kinds_and_axes(columns)
     has_arc = any(kind == "arc" for kind, _ in all_kinds)
     if (
@@ -291,7 +291,7 @@ def _kinds_and_axes(columns: Iterable[SourceColumn]) -> set[tuple[str, str]]:
 def _mapped_columns(
     recording: SourceRecording, hints: ColumnHints
 ) -> dict[str, SourceColumn]:
-    """Interpret the columns of a recording that the user named."""
+    """Interpret the columns that the user mapped."""
     by_role = {}
     for role, text in hints.columns:
         match = _match_column(text, recording)
@@ -339,19 +339,19 @@ def _read_parts(recording: SourceRecording, hints: ColumnHints) -> RecordingPart
 
 
 def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
-    """Name the trial of each recording of one kind, by the recording's id.
+    """Name the trials of recordings of one kind, by the recording's id.
 
-    The name is what differs between the names of the files, so that robot_07.csv and
-    tracker_07.csv are of one trial.
+    The name is the differing part of the file names: robot_07.csv and tracker_07.csv
+    belong to trial t07.
     """
     stems = [recording.name or recording.file.stem for recording in recordings]
     if len({*stems}) < 2:
         return {id(recording): trial_name("00") for recording in recordings}
-    # numbers stay whole
+    # do not cut numbers
     prefix = commonprefix(stems).rstrip("0123456789")  # noqa: RUF071
     reversed_stems = [stem[::-1] for stem in stems]
     suffix = commonprefix(reversed_stems)[::-1]  # noqa: RUF071
-    # of drive_a and release_a, the suffix is _a, not e_a
+    # the common suffix of drive_a and release_a is _a, not e_a
     suffix = re.sub("^[A-Za-z0-9]*", "", suffix)
     names = {}
     for recording, stem in zip(recordings, stems, strict=True):
@@ -361,7 +361,7 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
 
 
 def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:
-    """Refuse recordings of the hand and of the string without a common trial."""
+    """Refuse hand and string recordings without a common trial."""
     performed = list(motion["trial"].unique())
     if not {*performed} & {*filmed}:
         raise DataError(
@@ -374,7 +374,7 @@ def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:
 def _join_parts(
     parts: Sequence[tuple[SourceRecording, pd.DataFrame]], names: Mapping[int, str]
 ) -> pd.DataFrame:
-    """Join parts to one table, each row with the name of its trial."""
+    """Join parts to one table with a column of trial names."""
     if not parts:
         return pd.DataFrame()
     frames = []

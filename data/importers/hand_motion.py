@@ -25,16 +25,16 @@ from stringcast.data.schema import DataError
 
 
 def read_motion(reader: RecordingReader) -> pd.DataFrame | None:
-    """Read joint angles q1, q2 ... [rad], or poses x, y [m], theta [rad], of the hand.
+    """Read joint angles q1, q2 ... [rad] or poses x, y [m], theta [rad] of the hand.
 
-    None stands for a recording that has neither.
+    Returns None if the recording has neither.
     """
     joints = reader.columns_of("joint")
     return _read_joints(reader, joints) if joints else _read_poses(reader)
 
 
 def find_zero_rows(reader: RecordingReader) -> np.ndarray:
-    """Find rows of the hand's log that are exactly zero among others, (K,) bool."""
+    """Find zero rows among others in the hand's log, (K,) bool."""
     columns = reader.columns_of("joint") or _hand_columns(reader)
     units = ANGLE_UNITS | LENGTH_UNITS
     values = np.empty((len(reader.table), len(columns)))
@@ -47,11 +47,11 @@ def find_zero_rows(reader: RecordingReader) -> np.ndarray:
 def _read_joints(
     reader: RecordingReader, columns: Sequence[SourceColumn]
 ) -> pd.DataFrame:
-    """Read joint angles, each from the link before, base first [rad]."""
+    """Read joint angles relative to the previous link, base first [rad]."""
     joints = sorted(columns, key=lambda column: int(column.meaning.name))
     _refuse_alike_joints(reader, joints)
     _refuse_joint_of_other_unit(reader, joints)
-    unitless = [c for c in joints if not c.meaning.unit]  # all in one unit
+    unitless = [c for c in joints if not c.meaning.unit]  # all share one unit
     angles = {}
     for number, column in enumerate(joints, 1):
         role = f"q{number}"
@@ -63,9 +63,10 @@ def _read_joints(
 
 
 def _read_poses(reader: RecordingReader) -> pd.DataFrame | None:
-    """Read poses of the hand; None for positions alone, which a tracker saw.
+    """Read poses of the hand; None for positions without direction.
 
-    theta, in which the string leaves, is a column, or x turned by a quaternion.
+    theta, the direction of the string, is a column, or the x-axis rotated by a
+    quaternion.
     """
     hand = {column.meaning.axis: column for column in _hand_columns(reader)}
     if len({"x", "y", "z"} & {*hand}) < 2 or not _has_direction({*hand}):
@@ -83,7 +84,7 @@ def _read_poses(reader: RecordingReader) -> pd.DataFrame | None:
 
 
 def _has_direction(axes: set[str]) -> bool:
-    """Return whether columns of these axes give a direction of the hand."""
+    """Return whether these axes give the direction of the hand."""
     return "angle" in axes or axes >= {*QUATERNION_AXES}
 
 
@@ -103,7 +104,7 @@ def _refuse_alike_joints(
 def _refuse_joint_of_other_unit(
     reader: RecordingReader, joints: Sequence[SourceColumn]
 ) -> None:
-    """Refuse a joint that turns farther than any does, among others that do not."""
+    """Refuse an implausibly large angle of one joint only."""
     largest = {}
     for column in joints:
         raw = reader.numbers(column.name)
@@ -124,9 +125,9 @@ def _refuse_joint_of_other_unit(
 
 
 def _hand_columns(reader: RecordingReader) -> list[SourceColumn]:
-    """Return the columns of the body that is the hand.
+    """Return the columns of the hand.
 
-    Raises DataError if several bodies could be it, or none has the stated name.
+    Raises DataError if several bodies are possible, or none has the stated name.
     """
     columns = reader.columns_of("hand")
     axes_of: dict[str, set[str]] = {}
@@ -159,7 +160,7 @@ def _hand_columns(reader: RecordingReader) -> list[SourceColumn]:
 def _turned_x(
     reader: RecordingReader, hand: Mapping[str, SourceColumn]
 ) -> dict[str, np.ndarray]:
-    """Turn the x-axis by the hand's quaternion; components (K,) by name."""
+    """Rotate the x-axis by the hand's quaternion; components (K,) by name."""
     x, y, z, w = (
         reader.read_numbers(hand[name], name, "1", 1.0, "name")
         for name in QUATERNION_AXES

@@ -19,7 +19,7 @@ from stringcast.data.importers import SourceRecording
 from stringcast.data.schema import DataError
 
 INFO_FILE = Path("meta") / "info.json"
-MAX_FEATURE_WIDTH = 64  # numbers of a feature: a state has fewer, an image has more
+MAX_FEATURE_WIDTH = 64  # numbers of a feature: more than any state, fewer than an image
 INDEX_COLUMNS = ("timestamp", "episode_index", "frame_index")
 ACTION_PREFIX = "action"  # commands, not measured positions
 ANGLE_QUESTION = (
@@ -32,7 +32,7 @@ NUMBER_TYPES = ("float32", "float64", "int64", "int32")
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a folder is such a dataset."""
+    """Return whether a folder is a LeRobot dataset."""
     return (path / INFO_FILE).is_file()
 
 
@@ -84,7 +84,7 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _is_numeric(feature: Any) -> bool:
-    """Return whether a feature is a number or a short vector, and not a picture."""
+    """Return whether a feature is a number or a short vector."""
     if not isinstance(feature, dict) or feature.get("dtype") not in NUMBER_TYPES:
         return False
     shape = feature.get("shape")
@@ -98,7 +98,7 @@ def _is_numeric(feature: Any) -> bool:
 def _feature_columns(
     feature: str, description: Mapping[str, Any], width: int
 ) -> list[str]:
-    """Name a feature's columns as the dataset does, otherwise by number."""
+    """Name a feature's columns as in the dataset, otherwise by number."""
     names = description.get("names")
     if isinstance(names, dict):
         names = next(iter(names.values()), None)

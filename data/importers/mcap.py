@@ -1,8 +1,7 @@
-"""MCAP files of ROS 2 (https://mcap.dev), and others with messages in JSON.
+"""MCAP files (https://mcap.dev) with messages of ROS 2 or in JSON.
 
 They need the packages mcap and mcap-ros2-support. Every topic of joint states, poses,
-points or transforms is a recording; by ROS' convention (REP 103) in metres, radians and
-seconds.
+points or transforms is a recording, in metres, radians and seconds (REP 103).
 """
 
 from __future__ import annotations
@@ -29,15 +28,15 @@ MESSAGE_TYPES = (
     "TransformStamped",
     "Transform",
 )
-MAX_MESSAGES = 2**20  # of the topics that are read: an hour at 300 a second
+MAX_MESSAGES = 2**20  # of the topics read: an hour at 300 a second
 MAX_DEPTH = 6  # levels of nested messages
 NANOSECOND_S = 1e-9  # [s] in a nanosecond
-# fields whose name adds nothing to a column's
+# field names omitted from column names
 TRANSPARENT = ("pose", "position", "point", "transform", "translation")
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file's name ends as MCAP's do."""
+    """Return whether a file has the suffix of MCAP."""
     return path.suffix.lower() == ".mcap"
 
 
@@ -58,7 +57,7 @@ def read(path: Path) -> list[SourceRecording]:
                 rows.setdefault(topic, []).append(row)
     except DataError:
         raise
-    except Exception as error:  # the packages raise any kind over a damaged file
+    except Exception as error:  # a damaged file raises any kind
         reason = str(error) or type(error).__name__
         raise DataError(
             f"{path}: cannot be read as MCAP ({reason}). "
@@ -106,9 +105,9 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
 
 
 def _position_channels(summary: Any, path: Path) -> list[Any]:
-    """List the channels whose messages may say where something is.
+    """List the channels whose messages may hold positions.
 
-    Raises DataError, with the topics that are there, if there is none.
+    Raises DataError with the available topics if there is none.
     """
     channels = []
     descriptions = []
@@ -127,9 +126,9 @@ def _position_channels(summary: Any, path: Path) -> list[Any]:
 
 
 def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
-    """Name the numbers of a message as columns.
+    """Return the numbers of a message by column name.
 
-    log_time: when the message was logged [ns], used where it has no time of its own.
+    log_time: time of logging [ns], for messages without a time stamp.
     """
     stamp = _field_value(_field_value(message, "header"), "stamp")
     seconds, nanoseconds = _field_value(stamp, "sec"), _field_value(stamp, "nanosec")
@@ -140,7 +139,7 @@ def _message_row(topic: str, message: Any, log_time: int) -> dict[str, float]:
     names = _field_value(message, "name")
     if isinstance(names, list | tuple):
         positions = _field_value(message, "position") or []
-        # by name: drivers list joints in any order, which may change within a bag
+        # by name, as the order of joints may change within a bag
         for name, angle in zip(names, positions, strict=False):
             row[f"joint {name} [rad]"] = float(angle)
         return row
@@ -159,7 +158,7 @@ def _field_value(message: Any, name: str) -> Any:
 def _message_numbers(
     message: Any, place: str, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in a message under the names of columns.
+    """Yield column names and numbers of a message.
 
     A position gives `tool0 x [m]`, an orientation `tool0 qx`.
     """

@@ -1,8 +1,8 @@
 """CSV of OptiTrack's Motive ("Tracking Data Export"): markers and rigid bodies.
 
-The first line holds names and values of the recording. The lines above `Frame,Time
-(Seconds)` state for each column its kind (rigid body, marker), its name, and whether it
-is a position or a quaternion.
+The first line holds properties of the recording. The lines above `Frame,Time (Seconds)`
+state for each column its kind (rigid body or marker), its name, and its quantity
+(position or quaternion).
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from stringcast.data.schema import DataError
 
 FIRST_CELL = "Format Version,"
 UNIT_SYMBOLS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
-MAX_HEADING_LINES = 12  # at most, before the numbers
+MAX_HEADING_LINES = 12  # before the numbers
 RIGID_BODY = "Rigid Body"
-# a rigid body's own markers move as it does and are left out
+# markers that define a rigid body are left out
 COLUMN_KINDS = (RIGID_BODY, "Marker")
 ENCODING = "utf-8-sig"
-# Motive's name of a marker that it lost, found again, and did not recognise
+# Motive's name of a marker that reappears without its label
 UNLABELED = "unlabeled"
-# a marker that comes back moved by at most so many times its usual way between the
-# frames of its gap, and by less than half the way to any other marker
+# largest displacement of a marker over a gap, relative to its usual one over so many
+# frames; the next marker must be twice as far away
 MAX_RETURN_RATIO = 4.0
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file begins as Motive's CSV does."""
+    """Return whether a file begins like CSV of Motive."""
     return path.suffix.lower() == ".csv" and begins_with(path, FIRST_CELL, ENCODING)
 
 
@@ -46,12 +46,12 @@ class Heading:
     Attributes
     ----------
     recording
-        Values of the whole recording by name, such as `Length Units`.
+        Properties of the recording, such as `Length Units`.
     kinds, names, quantities, axes
-        Of each column: rigid body or marker, its name, position or rotation, and x, y,
+        For each column: rigid body or marker, its name, position or rotation, and x, y,
         z or w.
     line_count
-        How many lines there are.
+        Number of heading lines.
     """
 
     recording: dict[str, str]
@@ -98,7 +98,7 @@ def read(path: Path) -> list[SourceRecording]:
 
 
 def read_heading(path: Path) -> Heading:
-    """Read the lines above the numbers; raise DataError if they are not there."""
+    """Read the lines above the numbers; raise DataError if they are missing."""
     with check_csv(path).open(encoding=ENCODING, errors="replace", newline="") as file:
         head = list(islice(lines.reader(file), MAX_HEADING_LINES))
     last = next((n for n, line in enumerate(head) if line[:1] == ["Frame"]), 0)
@@ -114,9 +114,9 @@ def read_heading(path: Path) -> Heading:
 
 
 def column_labels(heading: Heading, unit: str) -> dict[int, str]:
-    """Return names that state what a column is, by its number.
+    """Return names of positions and quaternions by column number.
 
-    They are such as `marker 1 x [m]` and `hand qx`; other columns are left out.
+    Examples: `marker 1 x [m]`, `hand qx`.
     """
     labels = {0: "frame", 1: "time [s]"}
     owners = _marker_names(heading.names)
@@ -133,7 +133,7 @@ def column_labels(heading: Heading, unit: str) -> dict[int, str]:
 
 
 def _marker_names(names: Sequence[str]) -> list[str]:
-    """Return names without the set of markers before the colon, where they differ."""
+    """Remove the marker set before the colon where the names stay unique."""
     short_names = [name.rpartition(":")[2] or name for name in names]
     full_names_of: dict[str, set[str]] = {}
     for name, short in zip(names, short_names, strict=True):
@@ -146,11 +146,10 @@ def _marker_names(names: Sequence[str]) -> list[str]:
 
 
 def join_unlabeled(table: pd.DataFrame, unit: str) -> tuple[pd.DataFrame, list[str]]:
-    """Give unlabeled markers back to the marker that was lost meanwhile.
+    """Join unlabeled markers to the labelled markers that they continue.
 
-    An unlabeled marker is a labelled one that Motive did not recognise when it came
-    back, or a reflection. It is joined to the one marker that it continues, and left
-    out if there is none.
+    An unlabeled marker is a labelled one that lost its label while it was hidden, or a
+    reflection. Reflections are left out.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ def join_unlabeled(table: pd.DataFrame, unit: str) -> tuple[pd.DataFrame, list[s
     table : pandas.DataFrame
         The table without unlabeled markers, if others have labels.
     notes : list of str
-        What became of each unlabeled marker.
+        What was done with each unlabeled marker.
     """
     columns_of = _position_columns(table, unit)
     lost = [name for name in columns_of if name.lower().startswith(UNLABELED)]
@@ -172,7 +171,7 @@ def join_unlabeled(table: pd.DataFrame, unit: str) -> tuple[pd.DataFrame, list[s
     if not lost or not labelled:
         return table, []
 
-    tracks = {}  # positions (F, 3) by marker, NaN where it was not seen
+    tracks = {}  # positions (F, 3) by marker, NaN if not seen
     for name, columns in columns_of.items():
         tracks[name] = table[columns].to_numpy(dtype=float)
     notes = []
@@ -211,22 +210,22 @@ def _position_columns(table: pd.DataFrame, unit: str) -> dict[str, list[str]]:
 
 
 def is_seen(track: np.ndarray) -> np.ndarray:
-    """Return in which frames of a track (F, 3) the marker was seen, (F,)."""
+    """Return the frames in which a marker was seen, (F,) bool."""
     return np.asarray(np.isfinite(track).all(axis=1))
 
 
 def find_continued(track: np.ndarray, labelled: Mapping[str, np.ndarray]) -> str | None:
-    """Find the labelled marker that an unlabeled one continues; None if none does.
+    """Find the labelled marker that an unlabeled one continues, if any.
 
-    It is the nearest one when the other appears, and much nearer than the next. It was
-    lost meanwhile, and did not move farther than it usually does in such a gap.
+    It is hidden while the other is seen, much nearer to it than the next marker, and
+    moves no farther than usual in such a gap.
 
     Parameters
     ----------
     track
-        Positions (F, 3) [m] of the unlabeled marker, NaN where it was not seen.
+        Positions (F, 3) [m] of the unlabeled marker, NaN if not seen.
     labelled
-        Positions of the others, by name.
+        Positions of the labelled markers, by name.
     """
     rows = np.flatnonzero(is_seen(track))
     distances = {}
@@ -245,7 +244,7 @@ def find_continued(track: np.ndarray, labelled: Mapping[str, np.ndarray]) -> str
         return None
 
     seen = is_seen(labelled[owner])
-    if seen[rows].any():  # both at once are two markers
+    if seen[rows].any():  # seen at the same time: two markers
         return None
     steps = np.linalg.norm(np.diff(labelled[owner][seen], axis=0), axis=1)
     usual_step = float(np.quantile(steps, 0.9)) if len(steps) else np.inf

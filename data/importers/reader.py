@@ -1,4 +1,4 @@
-"""Columns of a recording as times [s], joint angles [rad], poses and points [m]."""
+"""Conversion of a recording's columns to times [s], angles [rad] and lengths [m]."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from stringcast.data.importers.columns import (
 )
 from stringcast.data.schema import DataError
 
-MAX_ANGLE_RAD = 4 * np.pi  # [rad] that no joint exceeds: larger numbers are degrees
-COUNTS_PER_TURN = 4096  # of the encoders of most servos
+MAX_ANGLE_RAD = 4 * np.pi  # [rad]: larger numbers are degrees
+COUNTS_PER_TURN = 4096  # encoders of most servos
 MAX_LISTED_COLUMNS = 12  # in a message
-# of a position: they have other units than lengths, or none
+# axes that are not lengths
 NO_LENGTH_AXES = {"angle", "likelihood", "valid", *QUATERNION_AXES}
 
 
 @dataclass(frozen=True)
 class ColumnHints:
-    """The user's description of the files, beyond what the names of columns state.
+    """The user's description of the files, in addition to column names.
 
     Attributes
     ----------
     columns
-        Our name and theirs, with a sign before it and a shift behind it, as in
-        q2, -elbow_deg+90. Files may call one thing differently.
+        Our name and the column, with sign and shift: `q2`, `-elbow_deg+90`. A name may
+        occur repeatedly, for files with other columns.
     unit
-        Unit of lengths by the file's name, or of all files under the empty name.
+        Unit of lengths by file name; the empty name means all files.
     degrees
-        Whether angles are in degrees where names do not state their unit, or where all
-        names do, against the names; None: detected from their range.
+        Whether angles without a unit are in degrees. If all names have a unit, this
+        overrides it. None: detected from the range.
     counts
         Whether joint angles are counts of an encoder, 4096 a turn.
     absolute
-        Whether joint angles count from +x, and not from the link before.
+        Whether joint angles are relative to +x instead of the previous link.
     y_is_down
-        Whether y of points is counted downwards.
+        Whether y of points points down.
     plane
-        The two of three directions that are x and y, each with a sign.
+        Which two of three axes are x and y, with signs.
     fps
         Frame rate of files without times [1/s].
     clock
-        Seconds to be added to the times of points.
+        Offset to add to times of points [s].
     px_per_m, origin_px
         Scale and origin of pixels.
     hand
-        The body that is the hand, where files name several.
+        Name of the hand, if files have several bodies.
     skip_zeros
-        Whether rows of the hand's log that are exactly zero among others are left out.
+        Whether zero rows among others in the hand's log are left out.
     """
 
     columns: Sequence[tuple[str, str]] = ()
@@ -77,10 +77,10 @@ class ColumnHints:
 
 @dataclass(frozen=True)
 class UsedColumn:
-    """A used column as it was interpreted.
+    """A used column and its interpretation.
 
-    unit: in which it is stored. how: source of the unit: name, values, or an option.
-    low, high: range of its numbers, in our units.
+    unit: stored unit. how: source of the unit: name, values or an option. low, high:
+    range in our units.
     """
 
     file: Path
@@ -94,7 +94,7 @@ class UsedColumn:
 
 @dataclass(frozen=True)
 class SourceColumn:
-    """A column to be read, with its sign, and its shift in its own unit."""
+    """A column to read, with its sign, and its shift in the stored unit."""
 
     name: str
     meaning: ColumnMeaning
@@ -105,14 +105,14 @@ class SourceColumn:
 
 @dataclass(frozen=True)
 class PlaneAxis:
-    """A direction of a file; the sign is negative if ours is opposite."""
+    """An axis of a file; the sign is negative if ours points the other way."""
 
     name: str
     sign: float = 1.0
 
 
 def trial_name(key: str) -> str:
-    """Name a trial by what distinguishes it; numbers alone are no names."""
+    """Name a trial; a number gets the prefix t."""
     return f"t{key}" if key.isdigit() else key
 
 
@@ -128,7 +128,7 @@ def list_columns(recording: SourceRecording) -> str:
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """A reader of columns, which lists in `used_columns` how it interpreted them."""
+    """A reader of columns; `used_columns` lists its interpretations."""
 
     recording: SourceRecording
     hints: ColumnHints
@@ -141,14 +141,14 @@ class RecordingReader:
         return self.recording.table.reset_index(drop=True)
 
     def numbers(self, name: str) -> pd.Series:
-        """Return the numbers of a column, (K,); what is none, or infinite, is NaN."""
+        """Return the numbers of a column, (K,), NaN for anything else or infinity."""
         numbers = pd.to_numeric(self.table[name], errors="coerce")
         if numbers.dtype == bool:
             numbers = numbers.astype(float)
         return numbers.where(np.isfinite(numbers))
 
     def columns_of(self, kind: str) -> list[SourceColumn]:
-        """Return the columns of one kind of meaning."""
+        """Return the columns of one kind."""
         return [column for column in self.columns if column.meaning.kind == kind]
 
     def read_numbers(
@@ -204,11 +204,11 @@ class RecordingReader:
         return self.read_numbers(column, role, unit, factor, how)
 
     def length_unit(self, column: SourceColumn) -> str:
-        """Find the unit of lengths: from the name, else as stated, else metres."""
+        """Find the unit of lengths: from the name, the options, or metres."""
         stated = self.hints.unit
         of_file = stated.get(self.recording.file.name)
         if of_file and self.names_state_unit("point", "arc", "hand"):
-            return of_file  # against the names
+            return of_file  # overrides the names
         return column.meaning.unit or of_file or stated.get("") or "m"
 
     def names_state_unit(self, *kinds: str) -> bool:
@@ -222,7 +222,7 @@ class RecordingReader:
     ) -> np.ndarray:
         """Read a column of angles, (K,) [rad].
 
-        same_unit: columns without a unit that share the one of this column.
+        same_unit: columns without a stated unit that share this one's.
         """
         unit, how = column.meaning.unit, column.how
         if self.hints.counts and role.startswith("q"):
@@ -235,7 +235,7 @@ class RecordingReader:
         if not unit:
             names = [c.name for c in same_unit or [column]]
             numbers = pd.DataFrame({name: self.numbers(name) for name in names})
-            # of the joint that turns farthest
+            # the largest angle of all joints
             largest = float(numbers.abs().quantile(0.9).max())
             unit = "rad"
             if largest > MAX_ANGLE_RAD:
@@ -243,7 +243,7 @@ class RecordingReader:
         return self.read_numbers(column, role, unit, ANGLE_UNITS[unit], how)
 
     def _read_counts(self, column: SourceColumn, role: str) -> np.ndarray:
-        """Read an encoder's counts as an angle that does not wrap, (K,) [rad]."""
+        """Read encoder counts as an unwrapped angle, (K,) [rad]."""
         turn = 2 * np.pi / COUNTS_PER_TURN
         unit = f"counts, {COUNTS_PER_TURN} a turn"
         angles = self.read_numbers(column, role, unit, turn, "--counts")
@@ -253,9 +253,9 @@ class RecordingReader:
 
     @cached_property
     def plane_axes(self) -> tuple[PlaneAxis, PlaneAxis]:
-        """The file's directions of x and y.
+        """The file's axes for x and y.
 
-        They are the two that exist, or those of three that the user named.
+        The user must choose them from three.
         """
         if self.hints.plane:
             right, up = self.hints.plane.split(",")

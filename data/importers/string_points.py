@@ -9,18 +9,18 @@ import pandas as pd
 from stringcast.data.importers.reader import RecordingReader, SourceColumn, list_columns
 from stringcast.data.schema import DataError
 
-MIN_LIKELIHOOD = 0.6  # likelihood below which a tracker guesses (DeepLabCut's pcutoff)
+MIN_LIKELIHOOD = 0.6  # lower ones are guesses (DeepLabCut's pcutoff)
 
 
 def read_points(reader: RecordingReader) -> pd.DataFrame | None:
     """Read the points of the string, one row per sample and point.
 
-    The index is that of the samples. None stands for a recording without points.
+    The index is that of the samples. Returns None for a recording without points.
     """
     axes_of: dict[str, dict[str, SourceColumn]] = {}
     for column in reader.columns_of("point"):
         axes = axes_of.setdefault(column.meaning.name, {})
-        # of a place in metres and in pixels, that in metres counts
+        # prefer metres to pixels
         if column.meaning.axis in axes and column.meaning.unit == "px":
             continue
         axes[column.meaning.axis] = column
@@ -35,7 +35,7 @@ def read_points(reader: RecordingReader) -> pd.DataFrame | None:
 
 
 def _refuse_single_coordinate(reader: RecordingReader, column: SourceColumn) -> None:
-    """Raise DataError for a point with one coordinate: its others are missing."""
+    """Raise DataError for a point with only one coordinate."""
     meaning = column.meaning
     other = "y" if meaning.axis == "x" else "x"
     point = meaning.name or "tip"
@@ -63,7 +63,7 @@ def _read_point(
                 "of a metre and the pixel of the world's origin: "
                 "--px-per-m 340 --origin-px 251.5,387.5."
             )
-        # rows of pixels are counted from the top
+        # rows of pixels count from the top
         x, y = (xy["x"] - origin[0]) / scale, (origin[1] - xy["y"]) / scale
         xy = {"x": x, "y": y}
     frame = pd.DataFrame({"point": name, **xy})

@@ -1,4 +1,4 @@
-"""Tables as logs and trackers write them: CSV with any separator, and Parquet."""
+"""Tables of logs and trackers: CSV with any separator, and Parquet."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.columns import column_meaning
 from stringcast.data.schema import DataError
 
-SNIFFED_BYTES = 2**14  # [bytes] in which the separator and the headings are detected
+SNIFFED_BYTES = 2**14  # [bytes] used to detect separator and headings
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".parquet")
 SEPARATORS = ",;\t|"
 
 
 def recognises(path: Path) -> bool:
-    """Return whether a file's name ends as a table's."""
+    """Return whether a file has the suffix of a table."""
     return path.suffix.lower() in TABLE_SUFFIXES
 
 
 def read(path: Path) -> list[SourceRecording]:
     """Read the table of a file, as one recording.
 
-    Of Parquet the plain columns are read. The first line of a text file that is no
-    comment must name its columns. Raises DataError naming the file and the remedy.
+    From Parquet, plain columns are read. The first line of a text file after comments
+    must name its columns. Raises DataError naming the file and the remedy.
     """
     if path.suffix.lower() == ".parquet":
         frame, _ = read_parquet(path, "Write it again.")
@@ -51,7 +51,7 @@ def read(path: Path) -> list[SourceRecording]:
 
 
 def _csv_options(path: Path) -> dict[str, Any]:
-    """Detect how `pandas.read_csv` is to read a file, from its first lines."""
+    """Detect options of `pandas.read_csv` from the first lines of a file."""
     with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
     if not any(line.strip() for line in head):
@@ -93,7 +93,7 @@ def _refuse_no_table(path: Path, names: list[str], row_count: int) -> None:
 
 
 def _trial_name(cell: object) -> object:
-    """Return a cell as the name of a trial; 1.0 is 1, as pandas writes it."""
+    """Return a cell as the name of a trial; 1.0 becomes 1."""
     if not isinstance(cell, str):
         return cell
     return re.sub(r"^(\d+)\.0+$", r"\1", cell.strip())

@@ -1,4 +1,4 @@
-"""Times of a recording's rows: from a clock, dates, or numbers of frames."""
+"""Times of a recording's rows, from a clock, dates or frame numbers."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from stringcast.data.importers.reader import RecordingReader, SourceColumn, list
 from stringcast.data.rows import describe_shared_times
 from stringcast.data.schema import DataError
 
-# [s] between samples: longer steps show no motion, so the unit must be a smaller one
+# [s] between samples: at longer steps, the unit must be wrong
 MAX_STEP_S = 0.5
-# a clock that turns back farther, in usual steps, did not just swap a few rows
+# a restart goes back by more usual steps than swapped rows
 MIN_RETURN_STEPS = 10.0
-MAX_RETURN_SHARE = 0.02  # of the rows: more are rows in another order
+MAX_RETURN_SHARE = 0.02  # share of rows: more backward steps mean unordered rows
 
 
 def read_times(reader: RecordingReader) -> np.ndarray:
-    """Read times, (K,) [s], of the best column of times or of the frame numbers."""
+    """Read times, (K,) [s], from the best time column or from frame numbers."""
     if clocks := reader.columns_of("time"):
-        # one that the user named first, then the shortest name
+        # prefer a mapped column, then the shortest name
         clocks.sort(key=lambda c: (c.how != "--map", len(c.meaning.name.split())))
         _refuse_restarted_clock(reader, clocks[0])
         fault = _stamp_fault(reader, clocks[0])
@@ -49,7 +49,7 @@ def read_times(reader: RecordingReader) -> np.ndarray:
 
 
 def _series_names(reader: RecordingReader) -> pd.Series:
-    """Name the series of each row, (K,): its trial, and its place on the string."""
+    """Name the series of each row, (K,), by trial and arc length."""
     columns = [*reader.columns_of("trial"), *reader.columns_of("arc")]
     series = pd.Series("", index=reader.table.index)
     for column in columns:
@@ -60,7 +60,7 @@ def _series_names(reader: RecordingReader) -> pd.Series:
 def _stamps_by_series(
     reader: RecordingReader, column: SourceColumn
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the time stamps (n,) of each series, with the words that name it."""
+    """Yield description and time stamps (n,) of each series."""
     stamps = reader.numbers(column.name).dropna().astype(float)
     for name, values in stamps.groupby(_series_names(reader)):
         words = f" of trial{name}" if str(name).strip() else ""
@@ -68,7 +68,7 @@ def _stamps_by_series(
 
 
 def _stamp_fault(reader: RecordingReader, column: SourceColumn) -> str:
-    """Say why the time stamps of a column carry no time; empty if they do."""
+    """Describe why the time stamps of a column are unusable; empty if usable."""
     for words, stamps in _stamps_by_series(reader, column):
         found = describe_shared_times(stamps)
         if not found:
@@ -81,7 +81,7 @@ def _stamp_fault(reader: RecordingReader, column: SourceColumn) -> str:
 
 
 def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> None:
-    """Refuse a clock that begins again within a trial: two recordings in one."""
+    """Refuse a clock that restarts within a trial: two recordings in one."""
     for words, stamps in _stamps_by_series(reader, column):
         row = _restart_row(stamps)
         if row is not None:
@@ -94,9 +94,9 @@ def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> No
 
 
 def _restart_row(stamps: np.ndarray) -> int | None:
-    """Find the row from which time stamps (n,) begin again, or None.
+    """Find the row where time stamps (n,) restart, or None.
 
-    Rows in another order are no restart: their times do not overlap.
+    After a restart, times overlap with earlier ones; in unordered rows they do not.
     """
     steps = np.diff(stamps)
     usual_step = float(np.median(np.abs(steps))) if len(steps) else 0.0
@@ -110,10 +110,7 @@ def _restart_row(stamps: np.ndarray) -> int | None:
 
 
 def _refuse_unknown_counter(reader: RecordingReader) -> None:
-    """Refuse rows without times if a column may hold the numbers of frames.
-
-    A column that counts every row says the same as the rows themselves.
-    """
+    """Refuse rows without times if a column may hold frame numbers with gaps."""
     series = _series_names(reader)
     used = {column.name for column in reader.columns}
     for name in map(str, reader.table):
@@ -151,7 +148,7 @@ def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
     """Read a column of dates as seconds since 1970."""
     raw = reader.table[column.name]
     dates = pd.Series(pd.NaT, index=raw.index)
-    if not pd.api.types.is_float_dtype(raw):  # as of infinite numbers
+    if not pd.api.types.is_float_dtype(raw):  # such as a column of infinities
         with suppress(ValueError, TypeError, OverflowError):
             dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
     if dates.isna().all():
@@ -171,7 +168,7 @@ def _refuse_slow_clock(
 ) -> None:
     """Refuse a unit in which samples are too far apart to show a motion.
 
-    step: typical difference of the numbers from row to row.
+    step: median difference between rows.
     """
     unit = column.meaning.unit
     if step * TIME_UNITS[unit] <= MAX_STEP_S:
@@ -186,7 +183,7 @@ def _refuse_slow_clock(
 
 
 def _typical_step(numbers: pd.Series) -> float:
-    """Return the median difference of distinct numbers; 0 if there is one only."""
+    """Return the median difference of distinct numbers; 0 for a single one."""
     steps = np.diff(np.unique(numbers.dropna()))
     return float(np.median(steps)) if len(steps) else 0.0
 
