@@ -32,6 +32,7 @@ from stringcast.stages.diagnose.left_out_fits import (
 )
 from stringcast.stages.diagnose.measures import refit, trials_touched_by
 from stringcast.stages.diagnose.probabilities import effect_probabilities
+from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.solver import residual_changes
 from stringcast.stages.inference.trial_data import TrialData
@@ -91,9 +92,7 @@ def _white_shifts(
 
 
 def probability_by_agreement(
-    data: TrialData,
-    fit: Fit,
-    left_out: Sequence[np.ndarray],
+    state: SelectionState,
     cause: type[Effect],
     candidates: int,
     min_tip_shift_m: float,
@@ -102,13 +101,13 @@ def probability_by_agreement(
 
     Parameters
     ----------
-    left_out : sequence of numpy.ndarray, shape (P,)
-        Exponents of the fit without each group of trials.
     candidates : int
         Number of effects that share the prior probability of one being active.
     min_tip_shift_m : float
         By which a cause that depends on place moves the tip where it acts [m].
     """
+    data = state.prepared.data
+    fit = state.fit
     log_bayes_factor = 0.0
     if len(trials_touched_by(data, fit, cause, min_tip_shift_m)) != 1:
         if cause.name in data.random_effects:
@@ -116,6 +115,8 @@ def probability_by_agreement(
             fit = refit(data, fit, fit.hypothesis)
             groups = groups_to_leave_out(len(data.trials))
             left_out = exponents_without_groups(data, fit, groups)
+        else:
+            left_out = state.left_out_exponents
         log_bayes_factor = log_bayes_factor_of_trials(data, fit, left_out, cause)
     log_evidence = {"": np.zeros(1), "cause": np.array([log_bayes_factor])}
     return effect_probabilities(log_evidence, candidates)["cause"]

@@ -166,12 +166,7 @@ def _reason_to_set_aside(
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return ""  # the model lacks nothing, and its evidence holds
     probability = probability_by_agreement(
-        data,
-        fit,
-        state.left_out_exponents,
-        cause,
-        candidates,
-        criteria.tip_tolerance_m,
+        state, cause, candidates, criteria.tip_tolerance_m
     )
     log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
     if trials_agree(probability):

@@ -405,8 +405,7 @@ def limit_by_agreement(
         By which a cause that depends on place moves the tip where it acts [m].
     """
     state = posteriors.state
-    data = state.prepared.data
-    if len(data.trials) < 2:
+    if len(state.prepared.data.trials) < 2:
         return posteriors
     causes = {cause.name: cause for cause in state.fit.hypothesis.causes}
     by_cause = []
@@ -417,12 +416,7 @@ def limit_by_agreement(
             continue
         name = accepted[0]
         limit = probability_by_agreement(
-            data,
-            state.fit,
-            state.left_out_exponents,
-            causes[name],
-            candidates,
-            min_tip_shift_m,
+            state, causes[name], candidates, min_tip_shift_m
         )
         shares = explained_shares(
             posterior.data, posterior.fit_without, posterior.fits[name], min_tip_shift_m

@@ -104,8 +104,9 @@ def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
     )
     monkeypatch.setattr(agreement, "trials_touched_by", lambda *given: touched)
     cause = SimpleNamespace(name="wind")
-    data = SimpleNamespace(random_effects={})
-    found = agreement.probability_by_agreement(data, None, (), cause, 20, 1e-3)
+    prepared = SimpleNamespace(data=SimpleNamespace(random_effects={}))
+    state = SimpleNamespace(prepared=prepared, fit=None, left_out_exponents=())
+    found = agreement.probability_by_agreement(state, cause, 20, 1e-3)
     assert found == pytest.approx(probability)
 
 
@@ -130,7 +131,9 @@ def test_a_cause_that_varies_is_estimated_with_one_amplitude_for_all(monkeypatch
         monkeypatch.setattr(agreement, name, stand_in)
     cause = SimpleNamespace(name="set")
     fit = SimpleNamespace(hypothesis=None)
-    agreement.probability_by_agreement(varying, fit, "with both", cause, 20, 1e-3)
+    prepared = SimpleNamespace(data=varying)
+    state = SimpleNamespace(prepared=prepared, fit=fit, left_out_exponents="with both")
+    agreement.probability_by_agreement(state, cause, 20, 1e-3)
     ((data, fit, left_out, _),) = compared
     assert data is shared
     assert fit == "fitted to 4"
