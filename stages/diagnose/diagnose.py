@@ -24,9 +24,15 @@ from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.cause_search import search_until_trials_settle
 from stringcast.stages.diagnose.document import (
-    diagnosis_document,
+    FORMAT_VERSION,
+    alternatives_document,
+    budget_document,
+    cause_document,
+    effects_with_reasons,
     extended_model_settings,
+    gain_document,
     replace_non_finite,
+    trials_document,
     unexplained_document,
     verdict_sentences,
 )
@@ -344,36 +350,43 @@ def _finding_table(
 ) -> pd.DataFrame:
     """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
     data = shown.prepared.data
-    uncertainty = {}
-    for name, fit in (("base", judgement.base_fit), ("extended", shown.fit)):
-        uncertainty[name] = parameter_uncertainty(
-            data, fit, judgement.background, settings.interval_half_width
-        )
+    verdict = judgement.verdict
+    half_width = settings.interval_half_width
+    base, extended = (
+        parameter_uncertainty(data, fit, judgement.background, half_width)
+        for fit in (judgement.base_fit, shown.fit)
+    )
+    trials_used = trials_document(shown.prepared, trials.left_out)
     unexplained = unexplained_document(
         data, shown.fit, judgement, budget, settings.criteria
     )
-    document = diagnosis_document(
-        shown.prepared,
-        judgement,
-        budget,
-        causes,
-        gain.table,
-        trials.left_out,
-        unexplained,
-        experiment.next_experiment,
-        uncertainty,
-        shown.set_aside,
-        effects_not_tried(settings, shown),
-    )
+    document = {
+        "format": FORMAT_VERSION,
+        "verdict": verdict.kind,
+        "interrupted": judgement.interrupted,
+        "causes": [cause_document(causes, name) for name in verdict.causes],
+        "alternatives": alternatives_document(judgement),
+        "set_aside": effects_with_reasons(shown.set_aside),
+        "not_tried": effects_with_reasons(effects_not_tried(settings, shown)),
+        "indistinguishable": [list(group) for group in verdict.lookalike_groups],
+        "base": {"parameters": judgement.base_fit.values, **base},
+        "extended": extended,
+        "gain": gain_document(gain.table, trials_used["used"]),
+        "unexplained": unexplained,
+        "budget": budget_document(budget),
+        "trials": trials_used,
+        "next_experiment": experiment.next_experiment,
+    }
     sentences = verdict_sentences(judgement, causes, unexplained["sentence"])
     if trials.left_out:
         sentences.append(f"Left out: {describe_rejected(trials.left_out)}.")
-    intervals = uncertainty["extended"]["intervals"]
     row = {
-        "verdict": judgement.verdict.kind,
+        "verdict": verdict.kind,
         "sentence": " ".join(filter(None, sentences)),
         "diagnosis": json.dumps(replace_non_finite(document), indent=2),
-        "extended": _extended_model_yaml(settings.model, shown.fit, intervals),
+        "extended": _extended_model_yaml(
+            settings.model, shown.fit, extended["intervals"]
+        ),
     }
     return DIAGNOSIS_SUMMARY.check(pd.DataFrame([row]))
 

@@ -23,69 +23,27 @@ from stringcast.stages.model.string import String
 FORMAT_VERSION = 1
 
 
-def diagnosis_document(
-    prepared: PreparedData,
-    judgement: Judgement,
-    budget: ErrorBudget,
-    causes: pd.DataFrame,
-    held_out: pd.DataFrame,
-    rejected: Mapping[str, str],
-    unexplained: Mapping[str, Any],
-    next_experiment: Mapping[str, Any] | None,
-    uncertainty: Mapping[str, Mapping[str, Any]],
-    set_aside: Mapping[str, str],
-    not_tried: Mapping[str, str],
+def trials_document(
+    prepared: PreparedData, rejected: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Assemble the document diagnosis.json.
-
-    Parameters
-    ----------
-    causes, held_out : pandas.DataFrame
-        Tables CAUSES and HELD_OUT.
-    uncertainty : dict
-        Intervals and correlations of parameters, of `base` and `extended` model.
-    set_aside, not_tried : mapping
-        Reasons by name, of effects that explain misfit and are not reported, and of
-        those that were no candidates.
-    """
-    verdict = judgement.verdict
-    used = [trial.name for trial in prepared.data.trials]
-    measured_gain: dict[str, Any] = gain_document(held_out)
-    selected_from_them = len(held_out) > 0 and set(held_out["trial"]) <= set(used)
-    measured_gain["causes_chosen_from_them"] = selected_from_them
-    points_left_out = {
-        "outliers": prepared.outlier_count,
-        "at_rest": prepared.resting_points,
-        "in_dense_frames": prepared.dense_points,
-    }
+    """List the trials that are used, and what is left out, as in diagnosis.json."""
     return {
-        "format": FORMAT_VERSION,
-        "verdict": verdict.kind,
-        "interrupted": judgement.interrupted,
-        "causes": [cause_document(causes, name) for name in verdict.causes],
-        "alternatives": _alternatives(judgement),
-        "set_aside": _with_reasons(set_aside),
-        "not_tried": _with_reasons(not_tried),
-        "indistinguishable": [list(group) for group in verdict.lookalike_groups],
-        "base": {"parameters": judgement.base_fit.values, **uncertainty["base"]},
-        "extended": uncertainty["extended"],
-        "gain": measured_gain,
-        "unexplained": dict(unexplained),
-        "budget": _budget_rows(budget),
-        "trials": {
-            "used": used,
-            "rejected": dict(rejected),
-            "points_left_out": points_left_out,
+        "used": [trial.name for trial in prepared.data.trials],
+        "rejected": dict(rejected),
+        "points_left_out": {
+            "outliers": prepared.outlier_count,
+            "at_rest": prepared.resting_points,
+            "in_dense_frames": prepared.dense_points,
         },
-        "next_experiment": next_experiment,
     }
 
 
-def _with_reasons(reasons: Mapping[str, str]) -> list[dict[str, str]]:
+def effects_with_reasons(reasons: Mapping[str, str]) -> list[dict[str, str]]:
+    """List effects, each with the reason by its name, as in diagnosis.json."""
     return [{"effect": name, "reason": reason} for name, reason in reasons.items()]
 
 
-def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
+def alternatives_document(judgement: Judgement) -> list[dict[str, Any]]:
     """List what is not named, with its probability: effects, none, and unknown."""
     verdict = judgement.verdict
     inclusion = judgement.inclusion_probability
@@ -104,7 +62,7 @@ def _alternatives(judgement: Judgement) -> list[dict[str, Any]]:
     return [{"effect": name, "probability": p} for name, p in probabilities.items()]
 
 
-def _budget_rows(budget: ErrorBudget) -> list[dict[str, Any]]:
+def budget_document(budget: ErrorBudget) -> list[dict[str, Any]]:
     """List the budget; only causes have evidence."""
     rows = []
     for entry in budget.entries:
@@ -132,11 +90,14 @@ def cause_document(causes: pd.DataFrame, name: str) -> dict[str, Any]:
     }
 
 
-def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
+def gain_document(held_out: pd.DataFrame, used: Sequence[str]) -> dict[str, Any]:
     """Compare base and extended model over all trials left out.
 
     Numbers that no trial determines are NaN.
+
+    used: names of the trials that the causes were chosen from.
     """
+    trials = held_out["trial"].tolist()
     rms_m = {}
     tip_rms_m = {}
     rate = {}
@@ -147,7 +108,7 @@ def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
     rms_m["noise_floor"] = rms(held_out["noise_floor"])
     difference = held_out["log_likelihood_difference"]
     return {
-        "held_out_trials": held_out["trial"].tolist(),
+        "held_out_trials": trials,
         "rms_m": rms_m,
         "tip_rms_m": tip_rms_m,
         "matching_rate": rate,
@@ -155,6 +116,7 @@ def gain_document(held_out: pd.DataFrame) -> dict[str, Any]:
             "difference": float(difference.mean()),
             "standard_error": float(difference.sem()),
         },
+        "causes_chosen_from_them": bool(trials) and set(trials) <= set(used),
     }
 
 

@@ -118,10 +118,10 @@ def blocks_of(document):
 
 
 def test_gain_has_all_blocks_even_if_nothing_was_left_out():
-    full = replace_non_finite(gain_document(held_out_rows()))
+    full = replace_non_finite(gain_document(held_out_rows(), ()))
     assert {name: set(block) for name, block in blocks_of(full).items()} == GAIN_BLOCKS
     assert full["rms_m"]["base"] == pytest.approx(np.sqrt(12.5) * 1e-3)
-    empty = replace_non_finite(gain_document(HELD_OUT.empty()))
+    empty = replace_non_finite(gain_document(HELD_OUT.empty(), ()))
     assert empty["held_out_trials"] == []
     assert blocks_of(empty).keys() == GAIN_BLOCKS.keys()
     for block in blocks_of(empty).values():
@@ -134,7 +134,7 @@ def test_gain_is_valid_json():
     One trial has no standard error, a rejected run no matching rate.
     """
     one_trial = held_out_rows(E_extended=[np.nan, np.nan])[:1]
-    document = replace_non_finite(gain_document(one_trial))
+    document = replace_non_finite(gain_document(one_trial, ()))
     json.dumps(document, allow_nan=False)
     rate = document["matching_rate"]
     assert rate == {"base": pytest.approx(0.003), "extended": None}
