@@ -1,8 +1,8 @@
-"""Smooth functions of time and place, in which the motion of a string is expanded.
+"""Smooth functions of time and place that span the motion of a string.
 
-A film has thousands of numbers, the motion of a string some hundred: cubic B-splines in
-time, and functions of place that are zero at the grasp. The products of the latter are
-a squared exponential kernel.
+A film has thousands of coordinates, the motion of a string some hundred degrees of
+freedom. The functions are products of cubic B-splines in time and functions of place
+that are zero at the grasp. The latter are a root of a squared exponential kernel.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from scipy.linalg import cholesky, solve_triangular
 
 from stringcast.stages.model.engine.threads import compile_kernel
 
-# of the length: as of a string's first modes, which a hand moves most
+# of the length: that of a string's first modes, which a hand excites most
 PLACE_CORRELATION_SHARE = 0.35
-PLACE_FUNCTIONS = 6  # nodes along the string: two for each correlation length
-KNOT_SPACING_S = 0.015  # [s] from spline to spline: motion up to 30 Hz
-MAX_SPLINES = 64  # longer trials have coarser splines
-LOW_FREQUENCY_HZ = 15.0  # half of what trials of a second are followed to
-MIN_FRAMES_PER_SPLINE = 2  # frames from spline to spline where the noise is estimated
-RANK_TOLERANCE = 1e-8  # of the largest eigenvalue: less is no direction of its own
-NODE_JITTER = 1e-9  # of the variance: keeps the covariance of nodes positive
+PLACE_FUNCTIONS = 6  # nodes along the string: two per correlation length
+KNOT_SPACING_S = 0.015  # resolves motion up to 30 Hz
+MAX_SPLINES = 64  # longer trials have wider spacings
+LOW_FREQUENCY_HZ = 15.0  # half of what splines resolve in trials of a second
+MIN_FRAMES_PER_SPLINE = 2  # least knot spacing where the noise is estimated
+RANK_TOLERANCE = 1e-8  # of the largest eigenvalue: smaller ones count as zero
+NODE_JITTER = 1e-9  # of the variance: keeps the covariance of nodes positive definite
 
 
 def knot_spacing(times: np.ndarray) -> float:
-    """Choose a knot spacing [s] that leaves some noise of frames at times (F,)."""
+    """Choose a knot spacing [s] too wide to fit all noise of frames at times (F,)."""
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return max(KNOT_SPACING_S, MIN_FRAMES_PER_SPLINE * frame)
 
@@ -41,7 +41,7 @@ def time_nodes(times: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def highest_frequency(times: np.ndarray) -> float:
-    """Compute up to which frequency splines follow motion at times (F,) [Hz]."""
+    """Compute the highest frequency that splines resolve at times (F,) [Hz]."""
     nodes = time_nodes(times, KNOT_SPACING_S)
     return float((len(nodes) - 1) / (2 * np.ptp(nodes)))
 
@@ -53,9 +53,9 @@ def time_splines(times: np.ndarray, spacing: float = KNOT_SPACING_S) -> np.ndarr
 
 
 def place_functions(s: np.ndarray, length: float) -> np.ndarray:
-    """Evaluate functions that are zero at the grasp at arc lengths (n,) [m], (n, K).
+    """Evaluate functions of place, zero at the grasp, at arc lengths (n,) [m], (n, K).
 
-    length: of the string [m]. K: PLACE_FUNCTIONS.
+    length: that of the string [m]. K: PLACE_FUNCTIONS.
     """
     nodes = length * np.arange(1, PLACE_FUNCTIONS + 1) / PLACE_FUNCTIONS
     correlation_length = PLACE_CORRELATION_SHARE * length
@@ -73,9 +73,9 @@ def nystrom_root(
     nodes: np.ndarray,
     kernel: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Compute a root (n, M) of a kernel's covariance of points (n,) from nodes (M,).
+    """Compute a root (n, M) of a kernel at points (n,) from nodes (M,).
 
-    It is the Nystrom approximation: root @ root.T is about kernel(|point - point'|).
+    By the Nystrom approximation, root @ root.T is about kernel(|point - point'|).
     """
     among_nodes = kernel(np.abs(nodes[:, None] - nodes))
     among_nodes = among_nodes + NODE_JITTER * np.eye(len(nodes))
@@ -90,7 +90,8 @@ class SmoothFunctions:
     """Products of functions of time and of place at the points of a trial.
 
     Product k B + b is that of the function of place k and the spline b, K B in all.
-    Each frame has the same functions of time, so that sums go over its points first.
+    Functions of time are constant within a frame, so that sums go over its points
+    first.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ class SmoothFunctions:
     def at_points(self, factors: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """Sum the functions times factors (2 C, K B) at some of the points, (C, 2 q).
 
-        factors: rows as of `sums`. chosen: a mask of the q points, (n,).
+        factors: rows as in `sums`. chosen: a mask of the q points, (n,).
         """
         places = self.in_place.shape[1]
         by_place = factors.reshape(-1, 2, places, self.in_time.shape[1])
@@ -137,7 +138,7 @@ class SmoothFunctions:
     def gram_by_frame(self, weight: np.ndarray) -> np.ndarray:
         """Compute Gram matrices of the functions of place in each frame, (F, K, K).
 
-        weight: of each point, (n,).
+        weight: weights of the points, (n,).
         """
         places = self.in_place.shape[1]
         gram = np.zeros((len(self.in_time), places, places))
@@ -150,11 +151,12 @@ class SmoothFunctions:
 def sum_products(
     in_time: np.ndarray, other: np.ndarray, gram: np.ndarray
 ) -> np.ndarray:
-    """Sum products of functions of a trial over its points, (K B, K R).
+    """Compute scalar products of two sets of functions over the points, (K B, K R).
 
-    Each function is one of time times one of place. All have the same ones of place.
+    Each function is a function of time times a function of place. Both sets have the
+    same functions of place.
 
-    in_time, other: functions of time at the frames, (F, B) and (F, R). gram: as of
+    in_time, other: functions of time at the frames, (F, B) and (F, R). gram: see
     `SmoothFunctions.gram_by_frame`, (F, K, K).
     """
     frames, splines = in_time.shape

@@ -1,7 +1,7 @@
-"""Candidates in several trials as one batch.
+"""Simulate candidates in several trials as one batch.
 
-The fixed cost of a simulation is paid once, and few candidates fill the vector units
-and the cores.
+A batch has the fixed cost of one simulation, and uses all vector units and cores even
+with few candidates.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from stringcast.stages.model.hand import HandMotion, append_rest_ticks
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 
-# [s] of simulated time that a batch costs before its first step: 4 ms, and 16 strings
-# of 21 points take 4 to 5 ms for a second
+# Fixed cost of a batch in simulated time: 4 ms, while one simulated second of 16
+# strings with 21 points takes 4 to 5 ms
 BATCH_OVERHEAD_S = 0.8
-# [s] of simulated time of all candidates in a batch, at most: bounds the memory to some
+# Largest simulated time of a batch, summed over candidates: limits the memory to some
 # 200 MB at 21 points and steps of 5 ms
 MAX_BATCH_S = 1000.0
-# times what steps cost where each candidate has a hand of its own
+# relative cost of a step if each candidate has its own hand motion
 SEPARATE_HANDS_COST = 1.15
 _KEPT_POINTS = KeptPoints()
 
@@ -40,10 +40,10 @@ def normalised_residuals(
     trials: Sequence[PreparedTrial],
     values: np.ndarray,
 ) -> list[np.ndarray]:
-    """Compute simulated less measured points over sigma of candidates (C, P).
+    """Compute simulated minus measured points over sigma for candidates (C, P).
 
-    Returns both coordinates of each point of each trial, (C, 2 n); NaN where a run was
-    rejected.
+    Returns both coordinates of each point of each trial, (C, 2 n); NaN where a
+    simulation was rejected.
     """
     points = measured_points(model, trials, values)
     residuals = []
@@ -59,12 +59,11 @@ def measured_points(
 ) -> list[np.ndarray]:
     """Simulate the measured points of candidates (C, P) in each trial, (C, n, 2) [m].
 
-    What was simulated a moment ago is looked up: a fit ends where the next begins, and
-    other noise or other measured points change nothing of it.
+    Recent simulations are looked up (`kept_points`).
     """
     points_by_trial = [_KEPT_POINTS.find(model, trial, values) for trial in trials]
 
-    # Trials in which the same candidates are missing are simulated together
+    # Trials that need the same candidates are simulated together
     trials_by_missing = defaultdict[tuple[int, ...], list[int]](list)
     for k, points in enumerate(points_by_trial):
         missing = tuple(c for c in range(len(values)) if c not in points)
@@ -87,7 +86,7 @@ def _simulate_points(
     trials: Sequence[PreparedTrial],
     values: np.ndarray,
 ) -> list[np.ndarray]:
-    """Simulate the measured points, so many candidates at once as memory allows."""
+    """Simulate the measured points in chunks of candidates that fit into memory."""
     chunks: list[list[np.ndarray]] = [[] for _ in trials]
     longest_s = max(float(np.ptp(trial.times)) for trial in trials)
     longest_s = max(longest_s, MAX_BATCH_S / MAX_BATCH_CANDIDATES)
@@ -118,7 +117,7 @@ def candidates_at_once(trials: Sequence[PreparedTrial]) -> int:
 def _groups_that_share_batches(
     trials: Sequence[PreparedTrial],
 ) -> Mapping[object, list[int]]:
-    """Group trials by number: at rest, or moving at the same time of their clocks."""
+    """Group the indices of trials that start at rest, or moving at the same time."""
     groups: defaultdict[object, list[int]] = defaultdict(list)
     for k, trial in enumerate(trials):
         is_at_rest = trial.initial_state is None
@@ -131,10 +130,10 @@ def simulate_trials(
     trials: Sequence[PreparedTrial],
     values: np.ndarray,
 ) -> list[np.ndarray]:
-    """Simulate candidates (C, P) in each trial.
+    """Simulate candidates (C, P) in each trial, in shared batches where that is faster.
 
-    Returns what the camera reports, (C, F, n, 2) [m] of each trial; NaN where a run was
-    rejected. Trials that can share a batch do, if that takes less time.
+    Returns what the camera reports, (C, F, n, 2) [m] of each trial; NaN where a
+    simulation was rejected.
     """
     simulated: dict[int, np.ndarray] = {}
     for group in _groups_that_share_batches(trials).values():
@@ -149,15 +148,15 @@ def simulate_trials(
 def _plan_batches(seconds: Sequence[float], candidates: int) -> list[list[int]]:
     """Split trials into batches of the least total time (dynamic programming).
 
-    A batch lasts as long as its longest trial, as often as its candidates fill the
-    vector units of all cores.
+    The time of a batch is that of its longest trial, times the number of passes that
+    its candidates need on the vector units of all cores.
 
-    seconds: the length of each trial. candidates: their number in each trial.
+    seconds: duration of each trial. candidates: number per trial.
     """
     loads = candidates / kernel_codegen.LANES / get_num_threads()
     order = np.argsort(seconds, kind="stable")
-    total_s = np.zeros(len(order) + 1)  # of the shortest trials
-    best_first = []  # where the last batch of so many trials begins
+    total_s = np.zeros(len(order) + 1)  # least time of the i shortest trials
+    best_first = []  # first trial of their last batch
     for last in range(1, len(order) + 1):
         longest_s = seconds[order[last - 1]]
         sizes = np.arange(last, 0, -1)
@@ -185,8 +184,8 @@ def _simulate_batch(
 ) -> list[np.ndarray]:
     """Simulate candidates in trials that share a batch.
 
-    Clocks of strings that move count from their first moment, shorter trials stay at
-    their last moment, and hands that end earlier rest.
+    Times of strings that start moving count from their start. Shorter trials repeat
+    their last time, and hands whose motion ends earlier rest.
     """
     if len(trials) == 1:
         (trial,) = trials
@@ -240,7 +239,7 @@ def _simulate_batch(
 
 @dataclass(frozen=True)
 class _Lane:
-    """A trial as a batch simulates it: hand, moments (1 or C, M) [s], initial state."""
+    """The simulation of one trial: hand, times (1 or C, M) [s], initial state."""
 
     hand: HandMotion
     times: np.ndarray
@@ -260,9 +259,9 @@ def _stack_states(
     starts: Sequence[StringState | None],
     count: int,
 ) -> StringState | None:
-    """Stack the states of several trials for so many candidates of each.
+    """Stack the states of several trials for `count` candidates of each.
 
-    Time counts from their first moment. None of trials at rest.
+    Their time starts at 0. Returns None for trials at rest.
     """
     states = [state for state in starts if state is not None]
     if not states:

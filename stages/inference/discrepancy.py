@@ -2,9 +2,8 @@
 
     simulated - measured = U a + s d + e,      d ~ GP,   a ~ N(0, 1),   e: noise
 
-When d begins in a trial, and its scale s, are unknown: they are on a grid
-(`discrepancy_grid`). In coefficients (`discrepancy_basis`) noise is white, and for each
-onset d is diagonal.
+The onset of d and its scale s are unknown; they are on a grid (`discrepancy_grid`). In
+coefficients (`discrepancy_basis`) noise is white, and for each onset d is diagonal.
 
 U has three kinds of columns, in this order: modes of the initial state, the uncertain
 part of the discretisation error, and random effects of causes.
@@ -35,12 +34,12 @@ from stringcast.stages.inference.whitening import LowRankWhitening
 class Discrepancy:
     """A model of the errors of one trial, in M coefficients for each coordinate.
 
-    Coefficients (C, 2 M) hold those of x first.
+    Coefficients (C, 2 M) have those of x first.
 
     Parameters
     ----------
     basis
-        Of the trial.
+        Basis of the trial.
     nuisance_coefficients
         U in coefficients, (2 M, m).
     nuisance_shapes
@@ -50,7 +49,7 @@ class Discrepancy:
     basis: DiscrepancyBasis
     nuisance_coefficients: np.ndarray
     nuisance_shapes: np.ndarray
-    scale: ClassVar[float] = 1.0  # of noise, in the points' own sigma
+    scale: ClassVar[float] = 1.0  # of noise over sigma
 
     @classmethod
     def for_trial(
@@ -64,7 +63,7 @@ class Discrepancy:
         Parameters
         ----------
         trial
-            Only its points' times, places and noise count, not where they are.
+            Provides the times, arc lengths and noise of its points.
         growth
             Relative size of d at each frame, (F,).
         nuisance
@@ -118,7 +117,7 @@ class Discrepancy:
     def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
 
-        coefficients: of the residual, (2 M,).
+        coefficients: those of the residual, (2 M,).
         """
         everywhere = np.ones(len(self.nuisance_shapes) // 2, dtype=bool)
         return self._mean_at_points(coefficients, grid_point, everywhere)
@@ -133,7 +132,7 @@ class Discrepancy:
     ) -> np.ndarray:
         """Draw discrepancies over sigma (count, 2 q) given coefficients (2 M,).
 
-        chosen: a mask of the q points at which they are wanted, (n,).
+        chosen: a mask of q points at which they are evaluated, (n,).
         """
         onset, scale_index = split_grid_point(grid_point)
         variance = self.basis.at_onset(onset).variance_at(scale_index)
@@ -144,7 +143,10 @@ class Discrepancy:
         return np.asarray(mean + offset)
 
     def nuisance_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
-        """Compute what the nuisance most likely explains of coefficients, (2 n,)."""
+        """Compute the most likely nuisance U a over sigma, (2 n,).
+
+        coefficients: those of the residual, (2 M,).
+        """
         amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         return np.asarray(self.nuisance_shapes @ amplitudes)
 
@@ -163,7 +165,7 @@ class Discrepancy:
     def _at_points(
         self, turned: np.ndarray, onset: int, chosen: np.ndarray
     ) -> np.ndarray:
-        """Evaluate turned coefficients (C, 2, M) at some points, (C, 2 q)."""
+        """Evaluate rotated coefficients (C, 2, M) at some points, (C, 2 q)."""
         coefficients = self.basis.at_onset(onset).turn_back(turned)
         return self.basis.at_points(coefficients, chosen)
 
@@ -189,15 +191,15 @@ class Discrepancy:
 class _ErrorsOfOnset:
     """The errors of a trial whose discrepancy has a known onset.
 
-    V = D + U U' is that of each scale, with D diagonal in turned coefficients. The
-    likelihood follows by the Woodbury identity and the determinant lemma (Harville
-    1997, Matrix Algebra From a Statistician's Perspective, 18.1-2).
+    At each scale V = D + U U', with D diagonal in rotated coefficients. The likelihood
+    follows from the Woodbury identity and the determinant lemma (Harville 1997, Matrix
+    Algebra From a Statistician's Perspective, 18.1-2).
 
     Attributes
     ----------
     basis : OnsetBasis
     nuisance : numpy.ndarray, shape (m, 2, M)
-        U in turned coefficients.
+        U in rotated coefficients.
     """
 
     def __init__(self, basis: OnsetBasis, nuisance_coefficients: np.ndarray) -> None:
@@ -238,7 +240,7 @@ class _ErrorsOfOnset:
         return np.asarray(covariance[scale_index] @ projected)
 
     def _project(self, turned: np.ndarray, precision: np.ndarray) -> np.ndarray:
-        """Compute U' D^-1 of turned coefficients (C, 2, M) at scales, (C, m, S)."""
+        """Compute U' D^-1 c of rotated coefficients c (C, 2, M) by scale, (C, m, S)."""
         x, y = turned[:, None, 0], turned[:, None, 1]
         products = x * self.nuisance[:, 0] + y * self.nuisance[:, 1]  # (C, m, M)
         sums = products.reshape(-1, products.shape[2]) @ precision.T
@@ -246,10 +248,10 @@ class _ErrorsOfOnset:
 
     @cached_property
     def _nuisance_terms(self) -> tuple[np.ndarray, np.ndarray]:
-        """Terms of the likelihood with the nuisance, at each scale.
+        """The nuisance's terms of the likelihood at each scale.
 
-        The covariance (1 + U' D^-1 U)^-1 (S, m, m) of the nuisance's amplitudes given
-        the data, and ln |V| (S,).
+        The posterior covariance (1 + U' D^-1 U)^-1 (S, m, m) of the amplitudes, and ln
+        |V| (S,).
         """
         precision = self.basis.precision_by_scale
         products = self._project(self.nuisance, precision).transpose(2, 0, 1)

@@ -1,10 +1,10 @@
-"""The coefficients of a trial in which its noise is white and its discrepancy diagonal.
+"""Coefficients of a trial in which noise is white and the discrepancy is diagonal.
 
-In coefficients of smooth functions noise is white (`noise_basis`). For each onset of a
-discrepancy they are turned such that the discrepancy is diagonal. Then trying a scale
-costs nothing. Along the string a discrepancy is a squared exponential (0.35 L) that is
-zero at the grasp, and in time a Matern 3/2. It grows over the trial as any small change
-of the parameters does.
+In coefficients of smooth functions noise is white (`noise_basis`). For each onset they
+are rotated so that the covariance of the discrepancy is diagonal. The likelihood at
+another scale then costs almost nothing. The kernel of the discrepancy is a squared
+exponential along the string (0.35 L), zero at the grasp, and a Matern 3/2 in time. Its
+size over the trial is proportional to the sensitivity to the parameters.
 """
 
 from __future__ import annotations
@@ -30,42 +30,42 @@ from stringcast.stages.inference.noise import MeasuredTrial
 from stringcast.stages.inference.noise_basis import NoiseBasis, find_noise_basis
 from stringcast.stages.kept_results import content_digest
 
-MATERN_TIME_S = 0.08  # [s]: 0.05 to 0.12 suited nine fits of strings of 0.3 m
+MATERN_TIME_S = 0.08  # 0.05 to 0.12 s fit nine residuals of strings of 0.3 m
 
 
 @dataclass(frozen=True)
 class OnsetBasis:
-    """Coefficients in which the discrepancy of one onset is diagonal, and noise white.
+    """Coefficients in which noise is white and one onset's discrepancy is diagonal.
 
     Parameters
     ----------
     rotation
-        From coefficients of each block of a trial (`NoiseBasis`) to these, (m, m).
+        Rotation of each block's coefficients (`NoiseBasis`) into these, (m, m).
     variance
-        Of a discrepancy of s = 1 m in these coefficients, (M,).
+        Variance in these coefficients of a discrepancy with s = 1 m, (M,).
     """
 
     rotation: np.ndarray
     variance: np.ndarray
 
     def turn(self, coefficients: np.ndarray) -> np.ndarray:
-        """Turn coefficients (C, 2 M) of a trial, (C, 2, M)."""
+        """Rotate coefficients (C, 2 M) of a trial, (C, 2, M)."""
         by_block = coefficients.reshape(-1, len(self.rotation))
         turned = by_block @ self.rotation
         return np.asarray(turned.reshape(-1, 2, len(self.variance)))
 
     def turn_back(self, turned: np.ndarray) -> np.ndarray:
-        """Turn (C, 2, M) back to coefficients of the trial, (C, 2 M)."""
+        """Rotate (C, 2, M) back to coefficients of the trial, (C, 2 M)."""
         by_block = turned.reshape(-1, len(self.rotation))
         return np.asarray((by_block @ self.rotation.T).reshape(len(turned), -1))
 
     def variance_at(self, scale_index: int) -> np.ndarray:
-        """Compute the variance of a discrepancy of a scale, (M,)."""
+        """Compute the variance of a discrepancy at a scale, (M,)."""
         return np.asarray(DISCREPANCY_SCALES_M[scale_index] ** 2 * self.variance)
 
     @property
     def precision_by_scale(self) -> np.ndarray:
-        """The precision of discrepancy and noise together at each scale, (S, M)."""
+        """The precision of discrepancy plus noise at each scale, (S, M)."""
         variance = DISCREPANCY_SCALES_M[:, None] ** 2 * self.variance
         return np.asarray(1.0 / (1.0 + variance))
 
@@ -74,17 +74,17 @@ class OnsetBasis:
 class DiscrepancyBasis:
     """Smooth functions of a trial, and coefficients for each onset of a discrepancy.
 
-    It depends on times and places of the measured points and on their noise, not on
-    where they are: all corrections of a trial and all hypotheses share it.
+    It depends on the times, arc lengths and noise of the points, not on their measured
+    positions. So all corrections of a trial and all hypotheses share it.
 
     Parameters
     ----------
     noise_basis
-        In whose M coefficients noise is white.
+        M coefficients in which noise is white.
     time_root
         A root of the discrepancy's covariance in time, (F, R).
     sizes
-        Relative size of a discrepancy of each onset at each frame, (W, F).
+        Relative size of a discrepancy at each frame for each onset, (W, F).
     """
 
     noise_basis: NoiseBasis
@@ -93,7 +93,7 @@ class DiscrepancyBasis:
 
     @classmethod
     def for_trial(cls, trial: MeasuredTrial, growth: np.ndarray) -> DiscrepancyBasis:
-        """Find the basis of a trial, or make it if no discrepancy uses it yet.
+        """Find the basis of a trial, or make it if none is in use.
 
         growth: relative size of a discrepancy at each frame, (F,).
         """
@@ -126,7 +126,7 @@ class DiscrepancyBasis:
         return self.noise_basis.at_points(by_axis, chosen)
 
     def at_onset(self, onset: int) -> OnsetBasis:
-        """Turn the basis for an onset, once."""
+        """Return the rotated coefficients for an onset."""
         if onset not in self._by_onset:
             self._by_onset[onset] = self._turn_for(onset)
         return self._by_onset[onset]
@@ -137,7 +137,7 @@ class DiscrepancyBasis:
 
     def _turn_for(self, onset: int) -> OnsetBasis:
         size = self.sizes[onset]
-        # A trial that cannot be simulated has no growth
+        # Growth is zero in a trial whose simulation diverges
         unit_size = size / max(rms(size), np.finfo(float).tiny)
         root = self.noise_basis.discrepancy_root(unit_size[:, None] * self.time_root)
         variance, rotation = eigh(root @ root.T, driver="evd")
@@ -150,9 +150,9 @@ _BASES_IN_USE: WeakValueDictionary[str, DiscrepancyBasis] = WeakValueDictionary(
 
 
 def matern_root(times: np.ndarray) -> np.ndarray:
-    """Compute a root (F, R) of a discrepancy's covariance at times (F,), unit variance.
+    """Compute a root (F, R) of a discrepancy's correlation at times (F,).
 
-    Splines that are far apart lengthen the correlation to two of their spacings.
+    The correlation time is at least two knot spacings.
     """
     knots = time_nodes(times, KNOT_SPACING_S)
     correlation_time = max(MATERN_TIME_S, 2 * (knots[1] - knots[0]))

@@ -1,12 +1,12 @@
-"""What a discrepancy may be like in a trial: a grid of onsets and scales.
+"""The grid of onsets and scales of a trial's discrepancy.
 
 A model may fit a trial until something unknown begins, such as a gust or a touch. So a
-discrepancy has an onset. Before it the discrepancy is a hundredth of what it would
-otherwise be, and the measured points count nearly as if there were none. Its scale s
-[m] is its root mean square at the tip over the trial.
+discrepancy has an onset. Before it, the discrepancy is reduced to a hundredth, and
+points have nearly the weight that they have without one. Its scale s [m] is its root
+mean square at the tip over the trial.
 
-A **grid point** is an onset and a scale. It is known by its index: all scales of the
-first onset come first.
+A **grid point** is an onset and a scale. Its index counts all scales of the first onset
+first.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import logsumexp
 
-# Scales s [m], each 1.56 times the last; no string is farther off.
+# Scales s, with a ratio of 1.56; the largest exceeds any misfit
 DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
-MEDIAN_SCALE_M = 5e-4  # [m] of s: half of all trials have less (half-Cauchy)
-# Shares of the trial's duration after which it may begin, each as likely
+MEDIAN_SCALE_M = 5e-4  # of the half-Cauchy prior of s
+# Equally likely onsets, as shares of the trial's duration
 ONSET_SHARES = np.arange(6) / 6
-SHARE_BEFORE_ONSET = 0.01  # of what it would be
+SHARE_BEFORE_ONSET = 0.01  # factor of the discrepancy before its onset
 
 
 def onset_times(times: np.ndarray) -> np.ndarray:
@@ -28,14 +28,14 @@ def onset_times(times: np.ndarray) -> np.ndarray:
 
 
 def sizes_by_onset(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
-    """Compute the relative size of discrepancies of each onset at each frame, (W, F).
+    """Compute the relative size of a discrepancy at each frame for each onset, (W, F).
 
     Parameters
     ----------
     times : numpy.ndarray, shape (F,)
-        Of the frames [s].
+        Frame times [s].
     growth : numpy.ndarray, shape (F,)
-        Relative size of a discrepancy that is there from the beginning.
+        Relative size of a discrepancy that begins with the trial.
     """
     has_begun = times >= onset_times(times)[:, None]
     return np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
@@ -53,7 +53,7 @@ def onset_time(times: np.ndarray, grid_point: int) -> float:
 
 
 def grid_points_of_scale(scale_m: float) -> np.ndarray:
-    """Find the grid point of each onset whose scale is nearest above one, (W,)."""
+    """Find the grid points (W,) of the smallest scale that is at least `scale_m`."""
     first = np.arange(len(ONSET_SHARES)) * len(DISCREPANCY_SCALES_M)
     return first + int(np.searchsorted(DISCREPANCY_SCALES_M, scale_m))
 
@@ -84,9 +84,9 @@ def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
 
 
 def most_likely_grid_point(log_likelihoods: np.ndarray) -> np.ndarray:
-    """Find the index of the most probable grid point, given log-likelihoods (..., W S).
+    """Find the index of the most probable grid point from log-likelihoods (..., W S).
 
-    Without a discrepancy all onsets are the same, and the first one is chosen.
+    If its scale is zero, the onset has no meaning and the first one is chosen.
     """
     grid_points = np.argmax(log_likelihoods + log_grid_prior(), axis=-1)
     has_discrepancy = grid_points % len(DISCREPANCY_SCALES_M) > 0

@@ -1,9 +1,9 @@
 """Samples of exponents under a likelihood that is normal in the parameters' values.
 
-Every exponent in [0, 1] is equally likely before. Metropolis chains move in two ways in
-turn. Steps in values follow narrow valleys, which are straight there; they have the
-covariance of the place where they begin (Girolami and Calderhead, J. R. Stat. Soc. B
-73, 123, 2011). Steps in the exponent of one parameter reach all that data leave open.
+Exponents have uniform priors in [0, 1]. Metropolis chains alternate between two
+proposals. Steps in values follow narrow valleys, which are straight in values; their
+covariance depends on where they start (Girolami and Calderhead, J. R. Stat. Soc. B 73,
+123, 2011). Steps in the exponent of one parameter cover its whole range.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from stringcast.stages.model.parameter import (
 CHAINS = 40
 WARM_UP_STEPS = 300  # from the centre, until samples are taken
 STEPS_APART = 50  # between two samples of a chain
-STEP_WIDTH = 1 / 7  # of an exponent that data leave open, in a step in values
-ROUNDING = 1e-12  # of a precision: exact data leave no other width
+STEP_WIDTH = 1 / 7  # standard deviation of an undetermined exponent in a step in values
+ROUNDING = 1e-12  # of a precision: keeps matrices positive where data are exact
 LEAST_SLOPE = 1e-150
 
 
@@ -79,10 +79,10 @@ class NormalInValues:
     def _step_in_exponent(
         self, chi: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Propose any exponent of one parameter, another in each chain.
+        """Propose a uniform exponent of one random parameter in each chain.
 
         Returns the proposed exponents (K, P), and the log ratio of the densities of the
-        step back and of the step, (K,).
+        reverse step and of the step, (K,).
         """
         chains = np.arange(len(chi))
         changed = rng.integers(len(self.centre), size=len(chi))
@@ -93,7 +93,10 @@ class NormalInValues:
     def _step_in_values(
         self, chi: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Propose a step in the values of all parameters; returns as the other step."""
+        """Propose a step in the values of all parameters.
+
+        Returns the same as `_step_in_exponent`.
+        """
         root, log_prior = self._step_root(chi)
         normal = rng.standard_normal(chi.shape)
         upper = root.transpose(0, 2, 1)
@@ -114,7 +117,7 @@ class NormalInValues:
     def _step_root(self, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute lower roots of the precision of steps in values, (K, P, P).
 
-        Returns also the log density of the values before any data, (K,).
+        Returns also the log prior of the values, (K,).
         """
         slope = np.abs(parameter_slopes(self.parameters, chi) / self.unit)
         slope = np.maximum(slope, LEAST_SLOPE)
@@ -126,7 +129,7 @@ class NormalInValues:
 
 
 def _log_normal(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Compute log densities of normal steps, (K,), but for a constant.
+    """Compute log densities of normal steps, (K,), up to a constant.
 
     root: lower roots of their precision, (K, P, P). normal: the steps times the roots,
     (K, P).

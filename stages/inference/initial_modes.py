@@ -1,10 +1,9 @@
-"""The initial state of a trial, refined by the motion that follows.
+"""Refinement of a trial's initial state by the later motion.
 
-A few frames give velocities to 0.1 m/s, which after half a swing is centimetres. Once
-parameters are roughly known, the motion that follows gives more: shape and turning
-rates are corrected by smooth modes of a string that is held at one end, as far as the
-first part of the trial demands it. So is what hinges with a memory hold: the string's
-earlier handling is unknown.
+A few frames give velocities within 0.1 m/s, an error of centimetres after half a swing.
+Once parameters are roughly known, the later motion determines the state better. Shape
+and turning rates are corrected by smooth modes of a string held at one end. So is the
+state of hinges with memory, because the earlier handling of the string is unknown.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ from stringcast.stages.model.parameter import (
 )
 from stringcast.stages.model.string import String
 
-# Of the log-likelihood. What a state is off, parameters make up for ...
+# In log-likelihood: parameters would compensate an error of the state
 STATE_MIN_GAIN = 0.005
-# ... or its modes, whose amplitudes are integrated out
+# The same if the amplitudes of modes are integrated out, which absorb the error
 MODES_MIN_GAIN = 1.0
-INITIAL_SPAN_S = 0.5  # [s] of the trial's beginning that the state is fitted to
-SHAPE_MODE_SIGMA_RAD = 0.1  # [rad]: standard deviation of a mode of the shape
-RATE_MODE_SIGMA_RAD_S = 3.0  # [rad/s]: standard deviation of a mode of the rates
+INITIAL_SPAN_S = 0.5  # first part of the trial, to which the state is fitted
+SHAPE_MODE_SIGMA_RAD = 0.1  # standard deviation of a mode of the shape
+RATE_MODE_SIGMA_RAD_S = 3.0  # standard deviation of a mode of the turning rates
 # In standard deviations:
 DIFFERENCE_STEP = 1e-3
 MAX_AMPLITUDE = 20.0  # of a mode
@@ -51,7 +50,7 @@ LET_BACK_PARAMETER = Parameter("let_back", "1", "", 0.0, 1 / LET_BACK_SIGMA, 0.0
 
 
 def initial_state_parameters(string: String) -> tuple[Parameter, ...]:
-    """List the corrections of an initial state, each N(0, 1) before the data speak."""
+    """List the corrections of an initial state, each with prior N(0, 1)."""
     has_memory = any(string.memory_count(slot) for slot in SLOTS)
     return (*MODE_PARAMETERS, LET_BACK_PARAMETER) if has_memory else MODE_PARAMETERS
 
@@ -61,9 +60,9 @@ def refine_initial_state(
     values: np.ndarray,
     span: float = INITIAL_SPAN_S,
 ) -> PreparedTrial:
-    """Fit the initial state to a trial's first part, with parameters (P,) held.
+    """Fit the initial state to a trial's first part, at fixed parameters (P,).
 
-    The trial stays as it is where it begins at rest or cannot be simulated.
+    A trial that starts at rest or whose simulation diverges is returned unchanged.
     """
     if trial.initial_state is None:
         return trial
@@ -105,13 +104,13 @@ def fit_initial_state(
     fitted_part
         The part of the trial that is fitted.
     values
-        Of the model's parameters, (P,).
+        Values of the model's parameters, (P,).
     whiten
         Whitens residuals over sigma (C, 2 N).
     min_gain
-        A step that gains less of the log-likelihood is slow.
+        A step that gains less log-likelihood is slow.
     limit
-        Standard deviations from which a residual counts less.
+        Huber's limit in standard deviations.
     """
     parameters = initial_state_parameters(trial.model.string)
     problem = _InitialStateProblem(fitted_part, values, parameters, whiten, limit)
@@ -122,7 +121,7 @@ def fit_initial_state(
 
 @dataclass(frozen=True)
 class _InitialStateProblem:
-    """The amplitudes of one trial's initial state as the solver's problem."""
+    """The least-squares problem of one trial's initial state."""
 
     trial: PreparedTrial
     values: np.ndarray
@@ -149,9 +148,9 @@ def initial_mode_columns(
     trials: Sequence[PreparedTrial],
     values: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """Compute how points move over sigma with each trial's modes, (2 N, M).
+    """Compute derivatives of points over sigma by each trial's modes, (2 N, M).
 
-    A trial at rest has no columns. Where all are at rest there is nothing at all.
+    A trial at rest has no columns. If all are at rest the tuple is empty.
     """
     if all(trial.initial_state is None for trial in trials):
         return ()
@@ -163,15 +162,15 @@ def initial_mode_columns(
 
 
 def initial_mode_slopes(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
-    """Difference the measured points by the amplitudes of the initial state.
+    """Compute derivatives of points by the amplitudes of the initial state.
 
-    Returns a column for each amplitude, (2 N, M) [m]: none where the trial begins at
-    rest, zeros for what cannot be simulated. values: (P,).
+    Returns a column for each amplitude, (2 N, M) [m]: none if the trial starts at rest,
+    zeros if the simulation diverges. values: (P,).
     """
     if trial.initial_state is None:
         return np.empty((2 * len(trial.points), 0))
     start = initial_amplitudes(trial)
-    # Inwards from an end of the range
+    # Step towards zero, away from the bounds
     step = np.where(start > 0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
     offsets = np.concatenate([np.zeros((1, len(start))), np.diag(step)])
     in_metres = replace(trial, sigma=np.ones(len(trial.points)))
@@ -187,9 +186,8 @@ def reset_initial_state_linear(
 ) -> PreparedTrial:
     """Displace points as if the trial began in the state of its first frames.
 
-    This is first order. The prior of the initial state is centred on that state.
-    nuisance: shapes over sigma, (2 N, m), of which those of the initial state are the
-    first M.
+    This is a first-order correction. It centres the prior of the initial state on that
+    state. nuisance: shapes over sigma, (2 N, m), first the M of the initial state.
     """
     amplitudes = initial_amplitudes(trial)
     moved = nuisance[:, : len(amplitudes)] @ amplitudes
@@ -212,8 +210,8 @@ def with_initial_amplitudes(
 ) -> PreparedTrial:
     """Set the amplitudes of a trial's initial state.
 
-    Modes are sin((k - 1/2) pi s / L) of the angles and of the rates; hinges with a
-    memory are let back.
+    Modes are sin((k - 1/2) pi s / L) in angles and in rates; the last amplitude of a
+    string with memory scales `StringState.memory_reversal`.
 
     amplitudes: (M,), or those of each candidate, (C, M).
     """
@@ -251,7 +249,7 @@ def trials_with_reestimated_start(
     data: TrialData,
     fit: Fit,
 ) -> tuple[PreparedTrial, ...]:
-    """Find the most likely initial states of trials, given a fit and discrepancies."""
+    """Find the most likely initial states of trials, given a fit."""
     if all(trial.initial_state is None for trial in data.trials):
         return data.trials
     hypothesis = fit.hypothesis
@@ -270,7 +268,7 @@ def trials_with_reestimated_start(
 
 
 def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
-    """Restart trials in the most likely initial states, with the modes about those."""
+    """Restart trials in the most likely initial states and linearise modes there."""
     if all(trial.initial_state is None for trial in data.trials):
         return data
     values = parameter_values(fit.hypothesis.parameters, fit.chi[None])[0]
@@ -283,7 +281,7 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
         columns,
         strict=True,
     ):
-        # Points as measured, and then displaced by the new modes
+        # Restore the measured points, then displace them by the new modes
         discrepancy = trial.discrepancy
         measured = reset_initial_state_linear(trial, -discrepancy.nuisance_shapes)
         moved = replace(restarted_trial, points=measured.points)
@@ -302,8 +300,8 @@ def _most_likely_initial_state(
 ) -> PreparedTrial:
     """Find the most likely initial state with values (P,) of the extended model.
 
-    The state is fitted instead of its modes, which leave the nuisance. These are modes
-    of the trial's own model, which may be another one than that of the extended trial.
+    The state is fitted, so that its modes are removed from the nuisance. The trial's
+    own model, to which these modes belong, may differ from that of the extended trial.
     """
     amplitudes = initial_amplitudes(trial)
     count = len(amplitudes)

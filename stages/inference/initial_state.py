@@ -1,10 +1,10 @@
-"""The state in which a string begins, from the first frames of a trial.
+"""The initial state of a string from the first frames of a trial.
 
-For a few frames each measured place moves along a parabola, which gives where it is and
-how fast it moves at the first. The string is then a curve hung from the grasp that
-bends as little as the noise allows, and turns as evenly: direction and turning rate are
-random walks along it. The size of each walk is that of the highest evidence. A string
-at rest is a walk of no size; this holds until the data speak clearly against it.
+A parabola in time is fitted to each measured place, which gives its position and its
+velocity at the first frame. Then a curve from the grasp is fitted to them, whose
+directions and turning rates are random walks along the string. The size of each walk
+has the highest evidence. The string is taken to be at rest (a walk of size zero) unless
+the evidence is clearly against it.
 
 References
 ----------
@@ -25,19 +25,19 @@ from stringcast.stages.model.state import StringState
 from stringcast.stages.string_places import points_at_arc_lengths
 
 CURVE_PIECES = 40  # straight pieces of the curve
-PARABOLA_FRAMES = 4  # at 30 Hz more are no parabola, at 200 Hz they are no better
+PARABOLA_FRAMES = 4  # at 30 Hz, more do not fit a parabola; at 200 Hz, more do not help
 MAX_GAP_SHARE = 0.05  # of the length: a place farther from a frame's points is not seen
-OUTLIER_RATIO = 5.0  # times the median residual of places: beyond it is an outlier
-MIN_NOISE_SHARE = 3e-4  # of the length: no place is known better
+OUTLIER_RATIO = 5.0  # relative to the median residual of places
+MIN_NOISE_SHARE = 3e-4  # of the length: least standard deviation of a place
 
-# Standard deviation of the random walks over the whole length, as they are tried
+# Standard deviations over the whole length that are tried for the random walks
 DIRECTION_WANDERS_RAD = np.geomspace(0.03, 10.0, 12)
 RATE_WANDERS_RAD_S = np.geomspace(0.1, 100.0, 12)
-HINGE_SHARES = (0.0, 1.0)  # of a wander, at the grasp alone: clamped or loose
+HINGE_SHARES = (0.0, 1.0)  # step at the grasp over the wander: clamped or loose
 
-MIN_GAIN_LOG_EVIDENCE = 3.0  # from which the string moves: 20 to 1
-GAUSS_NEWTON_STEPS = 12  # to the shape
-INITIAL_CORNERS = 10  # of the first line: the noise of nearer places would bend it
+MIN_GAIN_LOG_EVIDENCE = 3.0  # for a string that moves: 20 to 1
+GAUSS_NEWTON_STEPS = 12  # for the shape
+INITIAL_CORNERS = 10  # of the initial line; more would follow the noise
 
 
 @dataclass(frozen=True)
@@ -76,9 +76,9 @@ def estimate_initial_state(
     hand
         The hand's motion as the arm reports it.
     length
-        Of the string [m].
+        Length of the string [m].
     times
-        Of the frames, (F,) [s].
+        Frame times, (F,) [s].
     measured
         Places and their velocities at the first frame.
     """
@@ -97,20 +97,20 @@ def first_frame_kinematics(
     sigma: float | None,
     length: float,
 ) -> Kinematics:
-    """Estimate places and velocities at the first frame.
+    """Estimate positions and velocities at the first frame.
 
     Parameters
     ----------
     times
-        Of the frames, (F,) [s].
+        Frame times, (F,) [s].
     frame, s, points
         Frame index (N,), arc length (N,) [m] and position (N, 2) [m] of each measured
         point.
     sigma
-        Standard deviation of a point [m], None if unknown. It is the least that is
-        assumed, for the scatter is an estimate as well.
+        Standard deviation of a point [m], None if unknown. The noise is estimated from
+        the scatter, but is at least this.
     length
-        Of the string [m].
+        Length of the string [m].
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _early_tracks(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Follow places through the first frames, (F, M, 2) [m], NaN where not seen.
 
-    The places, arc lengths (M,) [m], are those of the fullest of these frames. Other
+    The places, arc lengths (M,) [m], are those of the frame with the most points. Other
     frames are interpolated between their points.
     """
     early = frame < PARABOLA_FRAMES
@@ -195,7 +195,8 @@ def _fit_parabolas(
 def _fit_shape(measured: Kinematics, pose: np.ndarray, length: float) -> np.ndarray:
     """Fit the directions of the curve's pieces, (PIECES,) [rad], by Gauss-Newton.
 
-    They are continuous from the grasp's. pose: of the grasp, (3,).
+    They continue the direction of the grasp without jumps by 2 pi. pose: (3,), of the
+    grasp.
     """
     start = _straight_line_angles(measured, pose, length)
     before = _length_before(measured.s, length)
@@ -227,7 +228,7 @@ def _straight_line_angles(
     pose: np.ndarray,
     length: float,
 ) -> np.ndarray:
-    """Compute directions (PIECES,) [rad] of a line from the grasp by way of places."""
+    """Compute directions (PIECES,) [rad] of a line from the grasp through places."""
     beyond_grasp = np.flatnonzero(measured.s > 1e-9 * length)
     wanted = np.linspace(0.0, measured.s[-1], INITIAL_CORNERS + 1)[1:]
     gap = np.abs(measured.s[beyond_grasp] - wanted[:, None])
@@ -249,10 +250,10 @@ def _fit_turning_rates(
     rate: np.ndarray,
     length: float,
 ) -> np.ndarray:
-    """Fit the rates (PIECES,) [rad/s] at which directions turn.
+    """Fit the turning rates of the curve's pieces, (PIECES,) [rad/s].
 
-    They turn with the hand unless the evidence for a motion of the string is clear.
-    rate: of the grasp's pose, (3,).
+    They are those of the hand unless the evidence for another motion is clear.
+    rate: (3,), of the grasp's pose.
     """
     slope = _place_slopes(measured.s, angle, length)
     turning = slope @ np.full(CURVE_PIECES, rate[2])
@@ -280,15 +281,15 @@ def _random_walk_posterior(
     Parameters
     ----------
     slope
-        Of what is measured with the walk, (2 M, PIECES).
+        Derivatives of the measurements by the walk, (2 M, PIECES).
     offset
-        What is measured, (2 M,).
+        Measurements, (2 M,).
     sigma
-        Of each place, (M,).
+        Standard deviation of each place, (M,).
     wander
         Standard deviation of the walk over the whole curve.
     hinge
-        Share of that at the grasp.
+        Standard deviation of its step at the grasp, over `wander`.
     """
     steps = np.full(CURVE_PIECES, 1 / CURVE_PIECES)
     steps[0] = 0.5 / CURVE_PIECES + hinge**2
@@ -307,7 +308,7 @@ def _piece_middles(length: float) -> np.ndarray:
 
 
 def _length_before(s: np.ndarray, length: float) -> np.ndarray:
-    """Compute how much of each piece lies before each place, (M, PIECES) [m]."""
+    """Compute the length of each piece before each place, (M, PIECES) [m]."""
     piece = length / CURVE_PIECES
     beginnings = piece * np.arange(CURVE_PIECES)
     before = np.clip(s[:, None] - beginnings, 0.0, piece)
@@ -316,7 +317,7 @@ def _length_before(s: np.ndarray, length: float) -> np.ndarray:
 
 
 def _place_slopes(s: np.ndarray, angle: np.ndarray, length: float) -> np.ndarray:
-    """Compute how places move as the pieces turn, (2 M, PIECES) [m/rad]."""
+    """Compute derivatives of places by the pieces' angles, (2 M, PIECES) [m/rad]."""
     across = np.stack([-np.sin(angle), np.cos(angle)])
     slopes = _length_before(s, length)[:, None] * across
     return np.asarray(slopes.reshape(-1, CURVE_PIECES))

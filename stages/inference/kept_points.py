@@ -1,7 +1,8 @@
-"""Simulated points of the last candidates, by all that decides them.
+"""A cache of simulated points.
 
-A fit ends where the next one begins, and many calls difference a model about the same
-optimum. Other noise or other measured points change nothing of what is simulated.
+A fit often starts where another ended, and many calls compute finite differences at the
+same optimum. The key has no noise and no measured points: they do not enter a
+simulation.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class KeptPoints:
         trial: PreparedTrial,
         values: np.ndarray,
     ) -> dict[int, np.ndarray]:
-        """Look up the points (n, 2) [m] of candidates (C, P), by their number."""
+        """Look up the points (n, 2) [m] of candidates (C, P), by candidate index."""
         found = {}
         for number, key in enumerate(_keys(model, trial, values)):
             if key in self._points:
@@ -63,7 +64,7 @@ def _keys(
     trial: PreparedTrial,
     values: np.ndarray,
 ) -> list[Key]:
-    # A digest knows effects by name, and a notebook may define one again
+    # A digest has effects only by name, and a notebook may redefine one
     effects = model.effects
     digest = content_digest(model)
     return [(digest, effects, trial.simulation_digest, row.tobytes()) for row in values]

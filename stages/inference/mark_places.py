@@ -1,10 +1,10 @@
-"""How points move if marks on the string are elsewhere than stated.
+"""Displacements of points by wrong arc lengths of the marks on the string.
 
-A ruler along a string that is not quite straight, or a tracker's idea of where its
-points are, is off by a millimetre. Such a mark is displaced along the string in every
-frame. No noise does that, but a shifted camera or clamp does, and would be found. The
-grasp and the tip are where they are stated. Between them the error is a sum of a few
-half waves. Each trial has errors of its own, although marks stay where they are.
+Arc lengths from a ruler or a tracker have errors of about a millimetre. The points of
+such a mark are displaced along the string in every frame. Noise does not do that, but a
+shifted camera or clamp does: without this model, the diagnosis would find one. The
+error is zero at the grasp and at the tip. Between them it is a sum of a few half waves.
+Each trial has its own errors, although marks do not move between trials.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stringcast.stages.string_places import track_places
 
 PLACE_ERROR_M = 1e-3  # standard deviation of each half wave
 MAX_HALF_WAVES = 3
-STEP_M = 1e-3  # of the arc length, over which points are differenced
+STEP_M = 1e-3  # arc length of the finite difference
 
 
 def mark_place_columns(
@@ -29,7 +29,7 @@ def mark_place_columns(
     model: Model,
     values: np.ndarray,
 ) -> list[np.ndarray]:
-    """Compute how points move with each half wave, over sigma.
+    """Compute the displacement of points by each half wave, over sigma.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def mark_place_columns(
     Returns
     -------
     list of numpy.ndarray, shape (2 N, M)
-        Of each trial; zeros if it cannot be simulated.
+        Columns of each trial; zeros if its simulation diverges.
     """
     length = model.string.length
     counts = [count_half_waves(trial, length) for trial in trials]
@@ -60,7 +60,7 @@ def mark_place_columns(
 
 
 def _tangents(trial: PreparedTrial, string: np.ndarray) -> np.ndarray:
-    """Difference a simulated string (1, F, n, 2) along itself at each point, (N, 2)."""
+    """Compute tangents of a simulated string (1, F, n, 2) at each point, (N, 2)."""
     nearer = replace(trial, s=np.maximum(trial.s - STEP_M, 0.0))
     step = np.minimum(STEP_M, np.maximum(trial.s, 1e-9))
     moved = trial.sample_at_points(string)[0] - nearer.sample_at_points(string)[0]
@@ -68,9 +68,9 @@ def _tangents(trial: PreparedTrial, string: np.ndarray) -> np.ndarray:
 
 
 def count_half_waves(trial: PreparedTrial, length: float) -> int:
-    """Count the half waves that a trial's points distinguish.
+    """Count the half waves that a trial's points can distinguish.
 
-    They are as many as marks between the grasp and the tip, MAX_HALF_WAVES at most.
+    It is the number of marks between grasp and tip, at most MAX_HALF_WAVES.
     """
     between = 0
     for track in track_places(trial.frame, trial.s):

@@ -1,9 +1,9 @@
-"""The ladder of meshes, and how far one is from its limit.
+"""Coarser and finer meshes, and the discretisation error.
 
-Each mesh has half as many segments as the last and steps twice as long. A coarser
-string costs a quarter and is good enough to rank starts: of 24 sets of casts all end in
-the same minimum, searched with 20 points or with 11. Parameters are the material's, so
-that they mean the same on every mesh.
+Each mesh of the ladder has half as many segments as the one before and steps twice as
+long. It costs a quarter and suffices to rank starts: all of 24 sets of casts reach the
+same minimum with 20 points and with 11. Parameters are those of the material, and so
+have the same meaning on every mesh.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
-MIN_SEGMENTS = 10  # segments: with fewer the string's second bend is lost
-# times finer stands for the limit: of second order, 1/16 of the error is left
+MIN_SEGMENTS = 10  # with fewer, the string's second bend is not resolved
+# A mesh this many times finer replaces the limit: at second order it has 1/16 of the
+# error
 REFERENCE_REFINEMENT = 4
-EXTRAPOLATED_MESHES = (1, 2, 4)  # times as many segments
+EXTRAPOLATED_MESHES = (1, 2, 4)  # factors of the number of segments
 
 
 def mesh_ladder(likelihood: Likelihood) -> list[Likelihood]:
-    """List the same trials on coarser and coarser meshes, the given one first."""
+    """List the likelihood on ever coarser meshes, the given one first."""
     ladder = [likelihood]
     while ladder[-1].model.string.points - 1 >= 2 * MIN_SEGMENTS - 1:
         ladder.append(likelihood_on_mesh(likelihood, 0.5 ** len(ladder)))
@@ -35,9 +36,10 @@ def mesh_ladder(likelihood: Likelihood) -> list[Likelihood]:
 
 
 def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
-    """Compute how far the string of parameters (P,) is from one of a far finer mesh.
+    """Compute the discretisation error of the string at parameters (P,).
 
-    Returns the root mean square at the measured points [m]; NaN where that diverges.
+    Returns the root mean square at the measured points [m]; NaN if a simulation
+    diverges.
     """
     errors = np.concatenate(_errors_by_trial(likelihood, chi))
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
@@ -46,8 +48,8 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
 def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     """Subtract the discretisation error at parameters (P,) from the measured points.
 
-    Simulations of nearby parameters on this mesh are then compared as on a far finer
-    one (deferred correction).
+    Near these parameters, residuals are then those of a far finer mesh (deferred
+    correction).
     """
     trials = []
     errors = _errors_by_trial(likelihood, chi)
@@ -59,10 +61,10 @@ def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood
 def resolved_frames(
     likelihood: Likelihood, chi: np.ndarray, max_error: float
 ) -> np.ndarray:
-    """Count the frames of each trial until its discretisation error is large, (K,).
+    """Count the frames of each trial before its discretisation error is large, (K,).
 
-    Where a string whips, the error grows until no mesh shows what the string does. Two
-    frames count in any case.
+    The error of a string that whips grows until no mesh resolves its motion. The count
+    is at least two.
 
     Parameters
     ----------
@@ -71,7 +73,7 @@ def resolved_frames(
     chi
         Exponents of the parameters, (P,).
     max_error
-        Of the points of a frame, root mean square of a coordinate over its sigma.
+        Largest root mean square error of a frame's coordinates over sigma.
     """
     counts = []
     errors = _errors_by_trial(likelihood, chi)
@@ -79,20 +81,18 @@ def resolved_frames(
         squares = np.mean((error / trial.sigma[:, None]) ** 2, axis=1)  # (n,)
         sums = np.bincount(trial.frame, squares)
         is_resolved = sums <= max_error**2 * np.bincount(trial.frame)
-        is_large = np.append(~is_resolved, True)  # also where it diverges
+        is_large = np.append(~is_resolved, True)  # also if NaN
         counts.append(max(int(np.argmax(is_large)), 2))
     return np.array(counts)
 
 
 def _errors_by_trial(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
-    """Compute simulated less far finer simulated points of each trial, (n, 2) [m]."""
+    """Compute points on this mesh minus those on a far finer one, (n, 2) [m]."""
     values = parameter_values(likelihood.parameters, chi[None])
     reference = likelihood_on_mesh(likelihood, REFERENCE_REFINEMENT)
-    coarse, fine = (
-        measured_points(each.model, each.data.trials, values)
-        for each in (likelihood, reference)
-    )
-    return [ours[0] - limit[0] for ours, limit in zip(coarse, fine, strict=True)]
+    coarse = measured_points(likelihood.model, likelihood.data.trials, values)
+    fine = measured_points(reference.model, reference.data.trials, values)
+    return [points[0] - limit[0] for points, limit in zip(coarse, fine, strict=True)]
 
 
 def refine_mesh(
@@ -100,12 +100,12 @@ def refine_mesh(
     trials: Sequence[PreparedTrial],
     factor: float,
 ) -> tuple[Model, tuple[PreparedTrial, ...]]:
-    """Divide a model's string, and that of trials, into `factor` times the segments.
+    """Multiply the segments of the string by a factor, in a model and in trials.
 
-    Steps are as much shorter.
+    Time steps are divided by it.
     """
     string = model.string
-    # The small number rounds a half up
+    # The small number makes halves round up
     segments = round(factor * (string.points - 1) + 1e-9)
     step = string.largest_step / factor
     finer_string = replace(string, points=segments + 1, largest_step=step)
@@ -121,7 +121,7 @@ def simulate_on_meshes(
 ) -> list[tuple[np.ndarray, ...]]:
     """Simulate the measured points of each trial, (C, n, 2) [m], on finer meshes.
 
-    chi: exponents, (C, P). factors: times as many segments, of each mesh.
+    chi: exponents, (C, P). factors: of the number of segments.
     """
     values = parameter_values(model.parameters, chi)
     by_mesh = []
@@ -136,14 +136,15 @@ def extrapolate_errors(
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Extrapolate the discretisation error at exponents (P,) from three meshes.
 
-    It is NaN in trials in which the simulation on one of them diverges.
+    It is NaN in trials in which one of the simulations diverges.
 
     Returns
     -------
     errors : list of numpy.ndarray, shape (n, 2)
-        Limit less simulation of the measured points of each trial [m].
+        Limit minus simulation at the measured points of each trial [m].
     uncertainties : list of numpy.ndarray, shape (2 n,)
-        By how much two meshes extrapolate otherwise, over sigma.
+        Difference between the limits from the finer and the coarser two meshes, over
+        sigma.
     """
     errors = []
     uncertainties = []
@@ -160,14 +161,14 @@ def extrapolate_error(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Extrapolate the error of the coarsest of EXTRAPOLATED_MESHES [m].
 
-    Returns the limit less what it shows, and by how much two meshes extrapolate
-    otherwise.
+    Returns the limit minus the coarsest simulation, and the difference between the
+    limits from the finer and the coarser two meshes.
     """
     limit = richardson_limit(finer, finest)
     return limit - coarse, limit - richardson_limit(coarse, finer)
 
 
 def likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
-    """Divide the strings of a likelihood into `factor` times the segments."""
+    """Multiply the segments of a likelihood's string by a factor."""
     model, trials = refine_mesh(likelihood.model, likelihood.data.trials, factor)
     return replace(likelihood.with_trials(trials), model=model)

@@ -1,4 +1,4 @@
-"""How a finer mesh would change the effect of parameters (manifold mapping).
+"""The change of discretisation error with the parameters (manifold mapping).
 
 References
 ----------
@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-MESH_CORRECTION_RADIUS = 0.05  # of a range: far beyond this the slopes do not hold
+MESH_CORRECTION_RADIUS = 0.05  # of a range: far beyond this the slopes are invalid
 
 
 @dataclass(frozen=True)
 class MeshCorrection:
-    """How the step from this mesh to its limit changes residuals, to first order.
+    """The difference between the residuals of the limit and of this mesh, linearised.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class MeshCorrection:
         The centre: exponents (P,) at which the discretisation error was subtracted
         from the measured points.
     slopes
-        Of each trial, the slopes (P, 2 n) of the change of its residuals over sigma.
+        Derivatives by chi of this difference in each trial, over sigma, (P, 2 n).
     """
 
     parameter_names: tuple[str, ...]
@@ -35,7 +35,7 @@ class MeshCorrection:
     slopes: tuple[np.ndarray, ...]
 
     def centred_at(self, exponents: Mapping[str, float]) -> MeshCorrection:
-        """Move the centre to other exponents by name; the slopes stay."""
+        """Move the centre to other exponents, given by name."""
         moved = self.chi.copy()
         for i, name in enumerate(self.parameter_names):
             moved[i] = exponents.get(name, moved[i])
@@ -48,10 +48,10 @@ class MeshCorrection:
     def correction_at(self, names: Sequence[str], chi: np.ndarray) -> list[np.ndarray]:
         """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P').
 
-        Parameters that the correction does not know change nothing. The change levels
-        off at the radius, and smoothly: fits end at corners.
+        Parameters without a slope change nothing. The change saturates smoothly at the
+        radius: fits get stuck at corners.
 
-        names: of the parameters, (P',).
+        names: names of the P' parameters.
         """
         known = []  # indices among the correction's parameters
         columns = []  # indices of the same parameters in `names`
@@ -66,7 +66,7 @@ class MeshCorrection:
         for slope in self.slopes:
             own_slope = slope if len(known) == len(slope) else slope[known]
             change = np.empty((len(chi), slope.shape[1]))
-            # One by one: a candidate has the same bits in any batch
+            # One by one, so that rounding does not depend on the batch
             for row, result in zip(limited, change, strict=True):
                 np.dot(row, own_slope, out=result)
             changes.append(change)

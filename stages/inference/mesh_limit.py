@@ -1,17 +1,17 @@
-"""Parameters of the string itself, not of the string on its mesh.
+"""Parameters without the bias of a coarse mesh.
 
-A mesh errs in the same way throughout a slow trial. A fit takes that for parameters: of
-looks at strings A to D with 20 points, the bending stiffness came out 1 to 50 % off, at
-many times its standard error. So the error of the mesh at a solution is subtracted from
-the measured points, the solution is refined, and so on until the error stays the same
-(deferred correction). The first error is that at the solution on a far finer mesh.
-Where a soft string begins at the solution on its own mesh, the corrections end
-elsewhere: string D, which bends over the length of a segment, was left with twice the
+In a slow trial the error of a mesh is systematic, and a fit attributes it to
+parameters: in looks at strings A to D with 20 points, the bending stiffness was wrong
+by 1 to 50 %, many times its standard error. So the error of the mesh at a solution is
+subtracted from the measured points and the solution is refined, until the error
+settles (deferred correction). The first error is computed at the solution on a far
+finer mesh. From the solution on the given mesh, corrections of a soft string converge
+to a worse one: string D, which bends over the length of a segment, kept twice the
 noise.
 
 Three meshes agree on a part of the error. The uncertain rest has a known shape and an
-unknown amplitude, which is estimated from the trial. Where a string whips, this rest
-may be the largest part of the misfit.
+unknown amplitude, which is estimated from the trial. If the string whips, this rest may
+be the largest part of the misfit.
 
 References
 ----------
@@ -40,10 +40,10 @@ from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.inference.whitening import IndependentErrors
 
 FINE_ITERATIONS = 3  # on the finest mesh; more do not change the corrected solution
-MAX_CORRECTIONS = 12  # strings that the mesh resolves take three to nine
-CORRECTION_ITERATIONS = 3  # of the parameters, between two corrections
-# Corrections in which the change of the error must fall: it may grow for one or two of
-# them, also where it settles
+MAX_CORRECTIONS = 12  # three to nine are enough for strings that the mesh resolves
+CORRECTION_ITERATIONS = 3  # for the parameters, between two corrections
+# Number of corrections over which the change of the error must fall. Over one or two it
+# may grow even if it settles later
 COMPARED_CORRECTIONS = 3
 # Sum of squares of whitened residuals: a smaller change of the error moves no parameter
 # by more than a standard error
@@ -55,24 +55,23 @@ def refine_at_mesh_limit(
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
 
-    The solution stays as it is if the corrected one leaves a larger misfit: where a
-    string whips, no mesh shows what it does, and data of a chain of mass points are
-    those of its mesh.
+    The given solution is kept if the corrected one misfits more: no mesh resolves a
+    string that whips, and the data may come from a chain of mass points.
 
-    Returns the likelihood of the corrected points and the exponents there.
+    Returns the likelihood of the corrected points and its best exponents.
     """
     measured = [trial.points for trial in likelihood.data.trials]
     subtracted = [np.zeros_like(points) for points in measured]
-    plain = corrected = likelihood  # without and with what is uncertain of the error
+    plain = corrected = likelihood  # without and with the uncertain error
     best = _refine_on_finest_mesh(likelihood, chi)
-    changes: list[float] = []  # of all residuals by each correction, sums of squares
+    changes: list[float] = []  # sum of squared changes of residuals, per correction
     for _ in range(MAX_CORRECTIONS):
         trials = plain.data.trials
         extrapolated, uncertainties = extrapolate_errors(plain.model, trials, best)
-        # (n, 2) [m] of each trial; none where a simulation diverges
+        # (n, 2) [m] of each trial; zero where a simulation diverges
         errors = [np.nan_to_num(error) for error in extrapolated]
         moved = []
-        differences = []  # of the residuals over sigma, (1, 2 n) of each trial
+        differences = []  # of residuals over sigma, (1, 2 n) of each trial
         for number, trial in enumerate(trials):
             moved.append(replace(trial, points=measured[number] - errors[number]))
             difference = (errors[number] - subtracted[number]) / trial.sigma[:, None]
@@ -103,8 +102,8 @@ def subtract_uncertain_error(
 ) -> list[PreparedTrial]:
     """Subtract the most likely uncertain error at exponents (P,) from measured points.
 
-    at_limit: of `refine_at_mesh_limit`, whose points are without the certain error. The
-    shape of the uncertain one is the last of each trial's nuisance.
+    at_limit: the result of `refine_at_mesh_limit`. Its points are without the certain
+    error; the shape of the uncertain one is the last column of each trial's nuisance.
     """
     trials = []
     residuals = at_limit.data.residuals(at_limit.model, chi[None])
@@ -124,7 +123,7 @@ def subtract_uncertain_error(
 def likely_amplitudes(shapes: np.ndarray, residual: np.ndarray) -> np.ndarray:
     """Find the most likely amplitudes (M,) of shapes (N, M) in a residual (N,).
 
-    Amplitudes are N(0, 1) a priori, and so is the noise of each number.
+    Prior amplitudes and noise are N(0, 1).
     """
     precision = np.eye(shapes.shape[1]) + shapes.T @ shapes
     return np.linalg.solve(precision, shapes.T @ residual)
@@ -154,7 +153,7 @@ def _with_uncertain_errors(
 def _loss_at_noise(
     likelihood: Likelihood, noise_scales: tuple[float, ...], chi: np.ndarray
 ) -> float:
-    """Compute the loss at exponents (P,) if each trial had noise of a given scale."""
+    """Compute the loss at exponents (P,) with a given noise scale for each trial."""
     trials = []
     for trial, scale in zip(likelihood.data.trials, noise_scales, strict=True):
         errors = trial.error_model

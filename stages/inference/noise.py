@@ -1,12 +1,12 @@
 """Correlated noise of a camera.
 
-Neighbours along the string share a part of their noise, and so do frames that follow
-one another: centre-lines are read from images with widths, and trackers smooth.
-Correlated readings say less about smooth motion than as many independent ones. So noise
-is modelled in the functions of place of `basis`, made orthonormal in each frame: by
-their covariance, the same in all frames, and by the correlation with the frame before
-(AR(1)). Both are estimated from residuals after smooth motion is removed, by restricted
-likelihood, which knows what the smooth part has taken of them.
+Noise is correlated along the string and between successive frames, because images have
+finite resolution and trackers smooth. Correlated readings determine smooth motion less
+well than independent ones. So noise is modelled in the functions of place of `basis`,
+made orthonormal in each frame: by their covariance, the same in all frames, and by the
+correlation with the previous frame (AR(1)). Both are estimated from residuals after
+smooth motion is removed. The restricted likelihood accounts for the noise that is
+removed with it.
 
 References
 ----------
@@ -35,8 +35,8 @@ from stringcast.stages.inference.basis import (
 )
 from stringcast.stages.model.model import Model
 
-MAX_FRAME_CORRELATION = 0.5  # as of means over two frames: more is motion
-# of all numbers: fewer beyond what splines reach do not give the noise
+MAX_FRAME_CORRELATION = 0.5  # that of means over two frames: more is motion
+# Degrees of freedom left by the splines, of all: with fewer noise is not estimated
 MIN_FREE_SHARE = 0.2
 
 
@@ -47,10 +47,10 @@ class Noise:
     Parameters
     ----------
     place_covariance
-        Covariance of functions of place over that of white noise, (K, K), with K =
+        Covariance in functions of place over that of white noise, (K, K), with K =
         PLACE_FUNCTIONS.
     frame_correlation
-        Correlation with the frame before.
+        Correlation with the previous frame.
     """
 
     place_covariance: np.ndarray
@@ -58,12 +58,12 @@ class Noise:
 
     @property
     def variance_of_means(self) -> float:
-        """The variance of means over many frames, over that of white noise."""
+        """The variance of means over many frames, relative to white noise."""
         in_time = (1 + self.frame_correlation) / (1 - self.frame_correlation)
         return float(np.trace(self.place_covariance) / PLACE_FUNCTIONS * in_time)
 
     def filter_in_time(self, values: np.ndarray) -> np.ndarray:
-        """Multiply values (F, N) by L' of the AR(1) process: a filter backwards."""
+        """Multiply values (F, N) by L' of the AR(1) process (a backward filter)."""
         filtered = values.copy()
         for frame in range(len(values) - 2, -1, -1):
             filtered[frame] += self.frame_correlation * filtered[frame + 1]
@@ -73,8 +73,8 @@ class Noise:
     def covariance(self, time: np.ndarray, gram_roots: np.ndarray) -> np.ndarray:
         """Compute the covariance (K B, K B) of noise projected on smooth functions.
 
-        A projection is a sum over points of noise times a product of functions. With
-        L L' the covariance of the noise, and A the products, this is (L' A)' (L' A).
+        A projection is the scalar product of noise and a function over the points. With
+        L L' the covariance of the noise, and A the functions, this is (L' A)' (L' A).
 
         Parameters
         ----------
@@ -101,12 +101,12 @@ WHITE_NOISE = Noise(np.eye(PLACE_FUNCTIONS), 0.0)
 class MeasuredTrial(Protocol):
     """The part of a prepared trial that its noise and discrepancy depend on.
 
-    Prepared trials know their discrepancies, and no module knows one that knows it.
+    It avoids a circular import: the module of prepared trials imports this one.
     """
 
     @property
     def model(self) -> Model:
-        """The model, whose string's length counts."""
+        """The model, for the length of its string."""
 
     @property
     def times(self) -> np.ndarray:
@@ -131,15 +131,15 @@ class MeasuredTrial(Protocol):
 
 @dataclass(frozen=True)
 class NoiseTrack:
-    """The residuals of a trial that its noise is estimated from.
+    """The residuals of a trial from which its noise is estimated.
 
     Parameters
     ----------
     time_splines
         Functions of time, (F, B).
     place_residuals
-        Residuals in functions of place that are orthonormal in each frame, of both
-        coordinates, (F, 2 K).
+        Residuals of both coordinates in functions of place that are orthonormal in each
+        frame, (F, 2 K).
     """
 
     time_splines: np.ndarray
@@ -158,8 +158,8 @@ def remove_smooth_motion(
 ) -> tuple[np.ndarray, float]:
     """Remove smooth motion from residuals (n, 2) over sigma.
 
-    Returns the rest and the noise over sigma, estimated robustly from it. Where too few
-    numbers are left to do that, nothing is removed.
+    Returns the rest and a robust estimate of the noise over sigma. If too few degrees
+    of freedom would be left, nothing is removed.
     """
     functions = _functions_below_noise(trial)
     everywhere = np.ones(len(residual), dtype=bool)
@@ -175,10 +175,9 @@ def remove_smooth_motion(
 
 
 def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
-    """Project residuals (n, 2) over sigma on what the noise is estimated from.
+    """Project residuals (n, 2) over sigma onto orthonormal functions of place.
 
-    Divided by the root of the Gram matrix of functions of place, white noise has unit
-    variance in them.
+    White noise has unit variance in them.
     """
     functions = _functions_below_noise(trial)
     frames = len(trial.times)
@@ -191,16 +190,16 @@ def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
 
 
 def _functions_below_noise(trial: MeasuredTrial) -> SmoothFunctions:
-    """Expand the motion of a trial in functions that leave some noise of its frames."""
+    """Choose smooth functions that cannot fit all noise of a trial."""
     in_time = time_splines(trial.times, knot_spacing(trial.times))
     in_place = place_functions(trial.s, trial.model.string.length)
     return SmoothFunctions(in_time, in_place, trial.frame)
 
 
 def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
-    """Estimate the noise of all trials from the quieter ones, just over half of them.
+    """Estimate the noise of all trials from the quieter half.
 
-    Misfit of a model looks like more noise, never like less.
+    Misfit of a model can only increase the apparent noise.
     """
     levels = [_most_likely_noise([track]).variance_of_means for track in tracks]
     order = np.argsort(levels, kind="stable")
@@ -209,9 +208,9 @@ def fit_noise_model(tracks: Sequence[NoiseTrack]) -> Noise:
 
 
 def _most_likely_noise(tracks: Sequence[NoiseTrack]) -> Noise:
-    """Maximise the restricted likelihood of some trials together.
+    """Maximise the joint restricted likelihood of some trials.
 
-    The prior is white noise, and counts as much as PLACE_FUNCTIONS frames.
+    The prior is white noise, with the weight of PLACE_FUNCTIONS frames.
     """
 
     def cost(frame_correlation: float) -> float:
@@ -227,9 +226,9 @@ def _restricted_likelihood(
     tracks: Sequence[NoiseTrack],
     frame_correlation: float,
 ) -> tuple[float, np.ndarray]:
-    """Compute the restricted log-likelihood of a correlation with the frame before.
+    """Compute the restricted log-likelihood of a correlation with the previous frame.
 
-    Returns it and the most likely covariance of functions of place, (K, K).
+    Returns it and the most likely covariance in functions of place, (K, K).
     """
     scatter = PLACE_FUNCTIONS * np.eye(PLACE_FUNCTIONS)
     degrees = PLACE_FUNCTIONS
@@ -239,7 +238,7 @@ def _restricted_likelihood(
         noisy = _innovations(track.place_residuals, frame_correlation)
         frames = len(noisy)
 
-        # Subtract the smooth motion: its splines may not be independent
+        # Subtract the smooth motion; its splines may be linearly dependent
         q, r = np.linalg.qr(smooth)
         diagonal = np.abs(np.diag(r))
         kept = diagonal > np.sqrt(RANK_TOLERANCE) * np.abs(r).max()
@@ -259,7 +258,7 @@ def _restricted_likelihood(
 
 
 def _innovations(values: np.ndarray, frame_correlation: float) -> np.ndarray:
-    """Compute what each frame adds to the one before, of unit size, (F, ...)."""
+    """Compute the innovations of an AR(1) process at unit variance, (F, ...)."""
     added = values[1:] - frame_correlation * values[:-1]
     scaled = added / np.sqrt(1 - frame_correlation**2)
     return np.concatenate([values[:1], scaled])

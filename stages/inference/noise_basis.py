@@ -1,10 +1,11 @@
 """Coefficients of a trial's smooth motion in which its noise is white.
 
-Noise beyond these functions is not expanded: its size is estimated before (`noise`).
+Noise outside the span of these functions is not expanded: its size is estimated
+before (`noise`).
 
-Where all frames show the same places, the covariances of noise and discrepancy are
-Kronecker products of one of place and one of time. Two small matrices, of at most 6 and
-some 60 rows, then replace one of 300.
+If all frames show the same places, the covariances of noise and discrepancy are
+Kronecker products of a matrix for place and one for time. These have at most 6 and some
+60 rows and replace one of 300.
 
 References
 ----------
@@ -30,10 +31,10 @@ from stringcast.stages.inference.noise import MeasuredTrial, Noise, gram_roots
 
 
 class NoiseBasis(ABC):
-    """Coefficients of a trial in which noise is white, M of each coordinate.
+    """Coefficients of a trial in which noise is white, M for each coordinate.
 
-    They are in blocks of m. The covariance of a discrepancy is the same in each block
-    but for a factor, `block_variance`. Coefficients of two blocks are uncorrelated.
+    They are in uncorrelated blocks of m. The covariance of a discrepancy differs
+    between blocks only by a factor, `block_variance`.
     """
 
     @property
@@ -59,23 +60,22 @@ class NoiseBasis(ABC):
     def discrepancy_root(self, time_root: np.ndarray) -> np.ndarray:
         """Compute a root of a discrepancy's covariance in a block, (m, N).
 
-        time_root: of its covariance at the frames, (F, R).
+        time_root: a root of its covariance at the frames, (F, R).
         """
 
 
 @dataclass(frozen=True)
 class JointNoiseBasis(NoiseBasis):
-    """A single block: all functions of time and place together.
+    """A single block of all functions of time and place.
 
     Parameters
     ----------
     functions
         Smooth functions at the measured points, K B of them.
     whiten
-        From sums over points of residuals over sigma times functions to coefficients,
-        (M, K B).
+        Maps the scalar products of residuals and functions to coefficients, (M, K B).
     to_functions
-        From coefficients back to factors of the functions, (K B, M).
+        Maps coefficients to factors of the functions, (K B, M).
     gram
         Gram matrices of the functions of place over sigma in each frame, (F, K, K).
     """
@@ -95,7 +95,7 @@ class JointNoiseBasis(NoiseBasis):
     ) -> JointNoiseBasis:
         """Whiten noise in the directions that the points determine.
 
-        gram, gram_over_sigma: of the functions of place in each frame, (F, K, K).
+        gram, gram_over_sigma: Gram matrices of the functions of place, (F, K, K).
         """
         in_time = functions.in_time
         covariance = noise.covariance(in_time, gram_roots(gram))
@@ -129,16 +129,16 @@ class JointNoiseBasis(NoiseBasis):
 
 @dataclass(frozen=True)
 class SeparableNoiseBasis(NoiseBasis):
-    """A block for each function of place, where all frames show the same places.
+    """A block for each function of place, if all frames show the same places.
 
     Parameters
     ----------
     white
-        Functions whose sums over points are the coefficients, M of them.
+        M functions whose scalar products with residuals are the coefficients.
     dual
         Functions whose factors are the coefficients.
     variance
-        As `block_variance`, (K,).
+        The `block_variance`, (K,).
     """
 
     white: SmoothFunctions
@@ -153,9 +153,9 @@ class SeparableNoiseBasis(NoiseBasis):
         gram: np.ndarray,
         gram_over_sigma: np.ndarray,
     ) -> SeparableNoiseBasis | None:
-        """Whiten noise in time and in place; None where points do not determine it.
+        """Whiten noise in time and in place; None if points do not determine it.
 
-        gram, gram_over_sigma: of the functions of place in any frame, (K, K).
+        gram, gram_over_sigma: Gram matrices of the functions of place, (K, K).
         """
         in_time = functions.in_time
         filtered = noise.filter_in_time(in_time)
@@ -167,7 +167,7 @@ class SeparableNoiseBasis(NoiseBasis):
         if smallest <= RANK_TOLERANCE * values[-1] * place_values[-1]:
             return None
 
-        # White functions of place are those in which a discrepancy is diagonal, too
+        # Choose functions of place that are white and make the discrepancy diagonal
         variance, axes = eigh(gram_over_sigma @ gram_over_sigma.T, of_place)
         in_place = functions.in_place @ axes
         place_gram = axes.T @ gram @ axes

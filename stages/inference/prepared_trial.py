@@ -30,10 +30,10 @@ from stringcast.stages.model.hand import (
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 
-INITIAL_MODES = 6  # of a trial's initial state, in shape and in turning rate each
-MAX_BATCH_CANDIDATES = 128  # candidates simulated at once: bounds the memory
-TIP_TOLERANCE_M = 1e-3  # [m]: points so near to the outermost are the tip
-MAX_KEPT_STARTS = 256  # of trials
+INITIAL_MODES = 6  # of the initial shape, and as many of the turning rate
+MAX_BATCH_CANDIDATES = 128  # candidates simulated at once: limits the memory
+TIP_TOLERANCE_M = 1e-3  # points within this of the outermost are the tip
+MAX_KEPT_STARTS = 256  # initial states in the cache
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class PreparedTrial:
     Parameters
     ----------
     name
-        Of the trial.
+        Name of the trial.
     model
-        Of the arm, the string and the camera.
+        Model of arm, string and camera.
     motion
         Joint angles or poses of the grasp.
     times
@@ -53,24 +53,24 @@ class PreparedTrial:
     frame, s
         Frame index and arc length [m] of each measured point, (N,).
     points
-        Measured, (N, 2) [m].
+        Measured points, (N, 2) [m].
     sigma
         Their standard deviations, (N,) [m].
     initial_state
-        The state in which the trial begins, by the camera's clock; None if the string
+        The state at the start of the trial, on the camera's clock; None if the string
         is at rest before the hand moves.
     turn
-        The side of the hand on which the string is at rest, as of
-        `equilibrium.hanging`.
+        The side of the hand on which the string is at rest (`equilibrium.hanging`).
     mode_amplitudes
-        How far the state is from that of the first frames, in modes (`initial_modes`).
+        Amplitudes of modes (`initial_modes`) by which the state differs from that
+        estimated from the first frames.
     noise
         The correlation of the points' noise.
     growth
-        How much a small change of the parameters has grown by each frame, (F,); empty
-        before it is measured.
+        Relative sensitivity to the parameters at each frame, (F,); empty before it is
+        computed.
     error_model
-        What residuals over sigma may be.
+        The model of residuals over sigma.
     """
 
     name: str
@@ -100,13 +100,13 @@ class PreparedTrial:
 
     @property
     def start(self) -> float:
-        """When its simulation begins [s]."""
+        """Start time of its simulation [s]."""
         state = self.initial_state
         return float(self.motion.start if state is None else state.t)
 
     @property
     def is_tip(self) -> np.ndarray:
-        """A mask of the points that are the tip, (N,)."""
+        """A mask of the points at the tip, (N,)."""
         return np.asarray(self.s > self.s.max() - TIP_TOLERANCE_M)
 
     @property
@@ -115,14 +115,14 @@ class PreparedTrial:
         return np.asarray(self.times[self.frame])
 
     def displacements_m(self, residual: np.ndarray) -> np.ndarray:
-        """Turn residuals over sigma (2 N,) into displacements (N, 2) [m]."""
+        """Convert residuals over sigma (2 N,) to displacements (N, 2) [m]."""
         displacements = residual.reshape(-1, 2) * self.sigma[:, None]
         return np.asarray(displacements)
 
     def tip_rms(self, at_tip: np.ndarray) -> np.ndarray:
-        """Compute the root mean square of displacements of the tip [m], (...).
+        """Compute the root mean square displacement of the tip [m], (...).
 
-        at_tip: over sigma, of the points that are the tip, (..., 2 m).
+        at_tip: displacements of the points at the tip over sigma, (..., 2 m).
         """
         sigma = self.sigma[self.is_tip, None]
         at_tip_m = at_tip.reshape(*at_tip.shape[:-1], len(sigma), 2) * sigma
@@ -151,14 +151,14 @@ class PreparedTrial:
         return np.asarray(interpolate_measurements(points, self.frame, position))
 
     def normalised_residuals(self, points: np.ndarray) -> np.ndarray:
-        """Compute simulated (C, N, 2) less measured points over sigma, (C, 2 N)."""
+        """Compute simulated (C, N, 2) minus measured points over sigma, (C, 2 N)."""
         distance = points - self.points
         distance /= self.sigma[:, None]
         return np.asarray(distance.reshape(len(points), -1))
 
     @cached_property
     def simulation_digest(self) -> str:
-        """A digest of all that decides what a model simulates at the points."""
+        """A digest of all inputs of the points' simulation except the model."""
         start = [self.motion, self.initial_state, self.turn]
         length = self.model.string.segment_length
         return content_digest([*start, self.times, self.frame, self.s, length])
@@ -168,12 +168,12 @@ class PreparedTrial:
         return self.first_frames(int(np.searchsorted(self.times, last + 1e-9)))
 
     def first_frames(self, frames: int) -> PreparedTrial:
-        """Cut the trial after so many frames."""
+        """Cut the trial after a number of frames."""
         kept = self.select_points(self.frame < frames)
         return replace(kept, times=self.times[:frames], growth=self.growth[:frames])
 
     def select_points(self, kept: np.ndarray) -> PreparedTrial:
-        """Select points by a mask (N,), and drop the error model of the whole trial."""
+        """Select points by a mask (N,), and drop the error model of all points."""
         return replace(
             self,
             frame=self.frame[kept],
@@ -186,7 +186,7 @@ class PreparedTrial:
     def mean_square_distances(self, simulated: np.ndarray) -> tuple[float, float]:
         """Compute mean square distances of simulated from measured points (N, 2).
 
-        Returns that of all points and that of those nearest the tip [m2].
+        Returns those of all points and of the outermost points [m2].
         """
         squares = np.sum((simulated - self.points) ** 2, axis=-1)
         outermost = self.s == self.s.max()
@@ -205,7 +205,7 @@ def with_model(
 
 
 def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
-    """Prepare one observation. Raises DataError where it cannot be used."""
+    """Prepare one observation. Raises DataError if it cannot be used."""
     points = observation.valid_points
     finite = np.isfinite(points[["t", "s", "x", "y"]]).all(axis=1)
     points = points[finite].sort_values(["t", "s"], kind="stable")
@@ -244,9 +244,9 @@ def _estimate_start(
     hand: HandMotion,
     sigma_is_known: bool,
 ) -> StringState:
-    """Estimate the state in which a trial begins from its first frames.
+    """Estimate the initial state of a trial from its first frames.
 
-    Every stage prepares its trials: the last states are kept.
+    States are cached because every stage prepares its trials again.
     """
     length = trial.model.string.length
     sigma = float(np.median(trial.sigma)) if sigma_is_known else None
@@ -269,9 +269,9 @@ def _estimate_start(
 
 
 def _turn_from_hand(hand: HandMotion, start: StringState) -> float:
-    """Compute how far the string turns from a hand that points up to its end [rad].
+    """Compute the angle from a hand that points up to the end of the string [rad].
 
-    From a hand that points down there is only one way: 0.
+    It is 0 for a hand that points down, whose string has only one side.
     """
     if not _hand_points_up(hand):
         return 0.0

@@ -1,10 +1,10 @@
-"""How far parameters may be from their best values, where the likelihood is not normal.
+"""Intervals of parameters from the profile likelihood, where it is not normal.
 
-A normal posterior (Laplace) extends straight from the best exponents. Parameters may
-make up for each other along a bend: the height and the tilt of a plane that a string
-touches in one place. So a parameter is held farther and farther away while the others
-are fitted, until the log-likelihood has fallen as far as that of a normal posterior
-falls to the end of its interval: a profile.
+Laplace's approximation assumes a normal posterior. But two parameters may compensate
+each other along a curve, such as the height and the tilt of a plane that a string
+touches in one place. So a parameter is fixed at growing distances from its best value
+while the others are fitted, until the log-likelihood has fallen as far as that of a
+normal posterior at the end of its interval.
 
 References
 ----------
@@ -21,10 +21,10 @@ import numpy as np
 from stringcast.stages.inference.huber import huber_loss
 from stringcast.stages.inference.solver import Problem, fit_least_squares
 
-# Of the fall of a likelihood to that of a normal one: within this factor it is normal
+# A likelihood is taken as normal if its fall is within this factor of a normal one's
 NORMAL_FALL_RATIO = 2.0
-MAX_DOUBLINGS = 2  # of the distance at which an exponent is held
-FIT_ITERATIONS = 4  # of the others, from where a straight line leads
+MAX_DOUBLINGS = 2  # of the distance at which an exponent is fixed
+FIT_ITERATIONS = 4  # of the other exponents, from their linear extrapolation
 LEAST_PRECISION = 1e-9  # of an exponent that data do not determine
 
 
@@ -35,27 +35,27 @@ def profile_reaches(
     indices: Sequence[int],
     half_width: float,
 ) -> np.ndarray:
-    """Compute how far some exponents may be below and above their best values, (I, 2).
+    """Compute how far intervals reach below and above the best exponents, (I, 2).
 
-    They are at least those of a normal posterior.
+    They reach at least as far as those of a normal posterior.
 
     Parameters
     ----------
     problem
-        Whose white residuals are those of the likelihood.
+        The likelihood as a least-squares problem.
     chi
         The best exponents, (P,).
     precision
-        Of a normal posterior about these, (P, P).
+        Precision of the normal posterior, (P, P).
     indices
-        Of the I exponents.
+        Indices of the I exponents.
     half_width
-        Of the interval, in standard deviations.
+        Half width of the interval, in standard deviations.
     """
     covariance = np.linalg.inv(precision + LEAST_PRECISION * np.eye(len(chi)))
     best_loss = huber_loss(problem.residuals(chi[None]), problem.limit)[0]
 
-    # Straight to both ends of the normal interval of each exponent
+    # The likelihood at both ends of the normal interval of each exponent
     index = np.repeat(np.asarray(indices, dtype=int), 2)
     sign = np.tile([-1.0, 1.0], len(indices))
     deviation = np.sqrt(covariance[index, index])
@@ -68,12 +68,12 @@ def profile_reaches(
         fall <= normal_fall * NORMAL_FALL_RATIO
     )
 
-    # On along the profile where the likelihood does not fall as a normal one
+    # Follow the profile where the likelihood does not fall as a normal one
     profiles = {}
     for number in np.flatnonzero(~is_normal & (moved != 0)).tolist():
         profiles[number] = _Profile(int(index[number]), chi, ends[number], half_width)
     for _ in range(1 + MAX_DOUBLINGS):
-        going = [each for each in profiles.values() if not each.is_ended]
+        going = [profile for profile in profiles.values() if not profile.is_ended]
         if not going:
             break
         starts = np.array([profile.start for profile in going])
@@ -90,25 +90,25 @@ def profile_reaches(
 
 
 def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarray:
-    """Compute by how much log-likelihoods of residuals (R, N) are below the best."""
+    """Compute the best log-likelihood minus those of residuals (R, N)."""
     loss = huber_loss(residual, problem.limit)
     return np.asarray(0.5 * residual.shape[1] * (loss - best_loss))
 
 
 @dataclass
 class _Profile:
-    """A side of the profile of an exponent, followed outwards.
+    """One side of an exponent's profile, followed outwards.
 
     Parameters
     ----------
     index
-        Of the exponent that is held.
+        Index of the fixed exponent.
     best
         The best exponents, (P,).
     start
-        From where the others are fitted next, (P,).
+        Exponents from which the next fit starts, (P,).
     half_width
-        Where to end, in standard deviations.
+        Where to stop, in standard deviations.
     """
 
     index: int
@@ -124,9 +124,9 @@ class _Profile:
         self.before = self.best
 
     def advance(self, here: np.ndarray, fall: float) -> None:
-        """Go on twice as far, or end where the likelihood has fallen enough.
+        """Double the distance, or stop if the likelihood has fallen enough.
 
-        here: the held exponent with the best others, (P,).
+        here: the fixed exponent and the best others, (P,).
         """
         step = here - self.before
         deviation = float(np.sqrt(2 * max(fall, 0.0)))
