@@ -13,12 +13,12 @@ from stringcast.stages.model.arm import Arm
 
 # degree of the Bezier curves of joint speeds (Eq. 2): six control points each
 INTERVALS = 5
-ROUNDING = 1e-9  # of shares of a movement
+ROUNDING = 1e-9  # rounding error of a share of the duration
 
 
 @dataclass(frozen=True)
 class Curves:
-    """A batch of movements.
+    """A batch of motions.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Curves:
     def sample(self, tick: float, until: float) -> tuple[np.ndarray, np.ndarray]:
         """Sample angles [rad] and velocities [rad/s] at ticks, (B, K, J) each.
 
-        The ticks go from 0 to `until` [s]; the arm rests after T.
+        Ticks run from 0 to `until` [s]; the arm rests after T.
         """
         times = np.arange(round(until / tick) + 1) * tick
         share = times / self.duration[:, None]  # of T, (B, K)
@@ -45,7 +45,7 @@ class Curves:
         is_moving = share <= 1 + ROUNDING  # the tick at T still moves
         speed = speed * is_moving[..., None]
 
-        # the integral of a Bezier curve is one of a degree more, over sums of points
+        # its integral has one degree more; its control points are cumulative sums
         sums = np.cumsum(self.control, axis=-1)
         sums = np.pad(sums, ((0, 0), (0, 0), (1, 0)))
         weights = _bernstein(u, INTERVALS + 1)
@@ -54,7 +54,7 @@ class Curves:
         return angles, speed
 
     def select(self, chosen: np.ndarray | slice) -> Curves:
-        """Select movements by their numbers."""
+        """Select motions by their numbers."""
         return Curves(self.start[chosen], self.duration[chosen], self.control[chosen])
 
 
@@ -68,7 +68,7 @@ def curves_from_motion(motion: Motion) -> Curves:
 
 
 def join_curves(parts: Sequence[Curves]) -> Curves:
-    """Join several batches of movements."""
+    """Join several batches of motions."""
     return Curves(
         np.concatenate([part.start for part in parts]),
         np.concatenate([part.duration for part in parts]),
@@ -112,7 +112,7 @@ def next_curves(
     last: Curves,
     fraction: float,
 ) -> Curves:
-    """Draw slight changes of the last movement, from the same start.
+    """Draw slight changes of the last motion, from the same start.
 
     T differs by up to a quarter of the range of durations, V_1..V_4 by up to `fraction`
     of their range.
@@ -129,9 +129,9 @@ def next_curves(
 
 
 def plain_cast(arm: Arm, duration: float) -> Curves:
-    """Build one swing of all joints through the middle third of their ranges.
+    """Build a swing of all joints through the middle third of their ranges.
 
-    duration: of the swing [s].
+    duration: duration of the swing [s].
     """
     lowest, highest = np.asarray(arm.lowest), np.asarray(arm.highest)
     sweep = (highest - lowest) / 3
@@ -152,7 +152,7 @@ def whole_ticks(duration: np.ndarray, tick: float) -> np.ndarray:
 def _bernstein(u: np.ndarray, degree: int) -> np.ndarray:
     """Bernstein polynomials at u (..., 1), (..., degree + 1)."""
     u_powers, rest_powers = np.ones((2, *u.shape[:-1], degree + 1))
-    # products, because powers take several times as long
+    # repeated products are several times faster than powers
     for n in range(degree):
         u_powers[..., n + 1] = u_powers[..., n] * u[..., 0]
         rest_powers[..., n + 1] = rest_powers[..., n] * (1 - u[..., 0])

@@ -1,4 +1,4 @@
-"""Generate a motion: try random ones until the simulated tip enters the target box."""
+"""Try random motions until the simulated tip enters the target box."""
 
 from __future__ import annotations
 
@@ -42,27 +42,27 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
 from stringcast.stages.spec import StageCall, declare_string_counts
 
-# motions simulated at once, 90 MB of a string of 57 points for 1.5 s
+# motions simulated at once; 57 points for 1.5 s take 90 MB
 BATCH_SIZE = 64
-SUBSTEPS = 5  # samples of the tip in a tick: at 20 m/s it moves 20 mm between two
-ROUNDING_S = 1e-9  # by which times may be off
+SUBSTEPS = 5  # samples of the tip in a tick; at 20 m/s they lie 20 mm apart
+ROUNDING_S = 1e-9  # rounding error of times
 HIT = "hit"
 
 
 class MotionNotFoundError(ExpectedError):
-    """No motion was found; the message says why the tries failed and what to change."""
+    """No motion was found; the message states why, and what to change."""
 
 
 @dataclass(frozen=True)
 class MotionRanges(SettingsGroup):
-    """Settings by which motions are drawn.
+    """Ranges of the random motions.
 
     Parameters
     ----------
     shortest, longest : range of the duration T [s]
     alpha : limit of the random accelerations [rad/s^2]
-    fraction : share of the control points' range by which changes of the last motion
-        differ
+    fraction : largest change of a control point of the last motion, as a share of its
+        range
     """
 
     shortest: Annotated[float, Field(gt=0)]
@@ -71,7 +71,7 @@ class MotionRanges(SettingsGroup):
     fraction: Annotated[float, Field(gt=0, le=1)]
 
     def __post_init__(self) -> None:
-        """Refuse an empty range of the duration, before anything moves."""
+        """Refuse an empty range of the duration."""
         if self.shortest > self.longest:
             raise DataError(
                 f"generate.shortest = {self.shortest} is above "
@@ -90,10 +90,10 @@ class SearchBudget(SettingsGroup):
 
     Parameters
     ----------
-    attempts : largest number of motions of a kind that are tried
-    batch : number of these at a time
-    hits : number of motions that hit, from which the one whose tip stays longest in the
-        box is taken; the paper takes the first
+    attempts : largest number of changes of the last motion, and of new motions
+    batch : number of motions drawn at a time
+    hits : number of hits to find; the one whose tip stays longest in the box is taken
+        (the paper takes the first)
     """
 
     attempts: Annotated[int, Field(ge=1)]
@@ -103,14 +103,14 @@ class SearchBudget(SettingsGroup):
 
 @dataclass(frozen=True)
 class SimulatedCandidates:
-    """Simulated strings of C movements.
+    """Simulated strings of C motions.
 
     Parameters
     ----------
     times : (F,) [s]
     points : (C, F, n, 2) points of the strings [m]
-    inside : (C, F - 1) whether the tip was in the target since the time before, and
-        moved as wanted
+    inside : (C, F - 1) whether the tip was in the target in the interval before each
+        time, with the wanted direction and speed
     """
 
     times: np.ndarray
@@ -119,12 +119,13 @@ class SimulatedCandidates:
 
 
 def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Motion:
-    """Generate a motion from what was cast and estimated before, as a stage."""
+    """Generate a motion from the last cast and estimate."""
     setup = call.setup
     model = setup.model
     if motion is not None and not motion.is_cast:
-        motion = None  # no cast resembles a look
-    if estimate is not None:  # which may have found causes
+        motion = None  # casts differ too much from a look
+    if estimate is not None:
+        # the estimate may include causes
         model = extend_model(model, estimate.values())
     task = (model, setup.target, setup.obstacles)
     generated: Motion = call.by(
@@ -148,15 +149,15 @@ def generate(
 ) -> Motion:
     """Generate a random motion whose simulated tip hits the target.
 
-    From the second cast on, slight changes of the last motion are tried first. Where
-    none of them hits, any motion may; the paper does not say.
+    From the second cast on, slight changes of the last motion are tried first. If none
+    of them hits, new motions are tried; the paper does not specify this case.
 
     Parameters
     ----------
     model : Model
         String and arm.
     target : Target
-        Box that the tip shall enter [m], and how it shall arrive.
+        Box that the tip should enter [m], with the wanted direction and speed.
     obstacles : sequence of Box
         Boxes that arm and string may not touch [m].
     previous : Motion or None
@@ -170,7 +171,7 @@ def generate(
     budget : SearchBudget
         Effort of the search.
     progress : callable
-        Called with the share of attempts that are used.
+        Called with the share of attempts used.
 
     Returns
     -------
@@ -235,10 +236,10 @@ def _try_curves(
     counts: Counter[str],
     wanted: int,
 ) -> list[tuple[float, Motion]]:
-    """Check the arm, simulate what is feasible, and keep what hits, in order.
+    """Simulate the motions that the arm can make, and return those that hit, in order.
 
-    counts: of outcomes, updated. wanted: number of hits that are enough. Returns how
-    long each hit's tip stays in the box [s], and its motion.
+    counts: number of motions by outcome, updated in place. wanted: number of hits to
+    find. Returns, for each hit, how long the tip stays in the box [s] and the motion.
     """
     until = float(curves.duration.max())
     arm = task.model.arm
@@ -264,23 +265,23 @@ def _try_curves(
 def arm_faults(
     arm: Arm, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray
 ) -> np.ndarray:
-    """Name the limit of the arm that each movement violates.
+    """Name the limit of the arm that each motion violates.
 
     Parameters
     ----------
     arm : Arm
         The arm with its limits.
     obstacles : sequence of Box
-        Boxes that it may not touch [m].
+        Boxes that the arm may not touch [m].
     angles : (B, K, J) array
-        Joint angles at the ticks, until after the end of each movement [rad].
+        Joint angles at the ticks, past the end of each motion [rad].
     speeds : (B, K, J) array
         Joint speeds [rad/s].
 
     Returns
     -------
     (B,) array of str
-        The limit; empty where none is violated.
+        The violated limit, or an empty string.
     """
     faults = np.full(len(angles), "", dtype=object)
     for box in obstacles:
@@ -291,7 +292,7 @@ def arm_faults(
     commanded = arm.commanded_velocities(angles)
     acceleration = np.abs(np.diff(commanded, axis=1, prepend=0.0)) / arm.tick
     outside = (angles < arm.lowest) | (angles > arm.highest)
-    # the last of several limits is named
+    # a later entry overrides an earlier one
     checks = {
         "a joint accelerates too fast": (acceleration > arm.acceleration).any(axis=2),
         "the hand is too fast": hand > arm.hand_speed,
@@ -310,7 +311,7 @@ def _simulate_curves(
     speeds: np.ndarray,
     until: float,
 ) -> SimulatedCandidates:
-    """Simulate the strings of feasible movements."""
+    """Simulate the strings of feasible motions."""
     tick = task.model.arm.tick
     times = np.arange(round(until / tick) * SUBSTEPS + 1) * tick / SUBSTEPS
     motion = task.model.simulate_string(
@@ -325,7 +326,7 @@ def _simulate_curves(
 def _string_faults(
     simulated: SimulatedCandidates, obstacles: Sequence[Box], duration: np.ndarray
 ) -> np.ndarray:
-    """Name why each string fails, or HIT, (C,). duration: (C,) of the movements [s]."""
+    """Name why each simulated string misses, or HIT, (C,). duration: (C,) [s]."""
     faults = np.full(len(duration), HIT, dtype=object)
     moving = simulated.times[None, 1:] <= duration[:, None] + ROUNDING_S
     points = simulated.points
@@ -373,14 +374,14 @@ def motion_artifact(
     attempts: pd.DataFrame,
     **outcome: float,
 ) -> Motion:
-    """Build the artifact of one movement.
+    """Build the artifact of one motion.
 
     Parameters
     ----------
     task : CastTask
         Model, target and obstacles.
     curve : Curves
-        The movement.
+        The motion.
     times : (T,) array
         Ticks [s].
     points : (T, n, 2) array
@@ -388,7 +389,7 @@ def motion_artifact(
     attempts : table ATTEMPTS
         Outcomes of the motions that were tried.
     **outcome
-        Columns of table MOTION_OUTCOME in addition to duration and target.
+        Further columns of table MOTION_OUTCOME.
 
     Returns
     -------
@@ -413,7 +414,7 @@ def motion_artifact(
 
 
 def command_table(arm: Arm, curve: Curves) -> pd.DataFrame:
-    """Build table COMMANDS; a velocity is the mean over the tick that it is held."""
+    """Build table COMMANDS; a velocity is the mean over the tick that holds it."""
     angles = curve.sample(arm.tick, float(curve.duration[0]))[0][0]
     columns = {"t": np.arange(len(angles)) * arm.tick}
     columns |= zip(JOINTS, angles.T, strict=True)
@@ -422,7 +423,7 @@ def command_table(arm: Arm, curve: Curves) -> pd.DataFrame:
 
 
 def control_point_table(curve: Curves) -> pd.DataFrame:
-    """Build table CONTROL_POINTS of one movement."""
+    """Build table CONTROL_POINTS of one motion."""
     joints, index = np.indices(curve.control.shape[1:])
     t = index * curve.duration[0] / INTERVALS
     columns = {

@@ -16,11 +16,11 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
 
-# strings simulated at once: more would not stay in memory that is used again
+# strings simulated at once; larger batches do not fit into the processor's cache
 BATCH_SIZE = 128
-# worth of a sample that touches something only at the end, in that of one that does not
-CONTACT_WORTH = 0.5
-# distance in a corner of the box with the largest error of the arrival, and rounding
+# factor of the closeness if something is touched only at the end
+CONTACT_WEIGHT = 0.5
+# scaled distance at a corner of the box with the largest arrival error, plus rounding
 FARTHEST_HIT = math.sqrt(3) + 1e-9
 
 
@@ -31,9 +31,10 @@ class CastTask:
     Parameters
     ----------
     model : string, arm and camera
-    target : box that the tip shall enter, and how it shall arrive
-    obstacles : boxes that the arm may not touch, nor the string before it hits
-    misfit : that motions like the last one repeat, if there was one
+    target : box that the tip should enter, with the wanted direction and speed
+    obstacles : boxes that the arm may not touch at all, and the string not before it
+        hits
+    misfit : misfit of the last cast, which similar motions repeat; None if unknown
     """
 
     model: Model
@@ -48,13 +49,13 @@ class CastOutcome:
 
     Parameters
     ----------
-    distance : least distance of the tip from the target's centre until something is
-        touched, in half widths and half heights of the target, and of its arrival, in
-        tolerances; infinite where the simulation diverges
-    free_share : share of the movement until something touches an obstacle, 1 where
-        nothing does
-    hit : whether the tip enters the target until then, as in `stages.hit_test`, and the
-        arm touches nothing afterwards either
+    distance : least scaled distance of the tip from the target before the first
+        contact: from its centre in half widths and half heights, and from the wanted
+        arrival in tolerances; infinite where the simulation diverges
+    free_share : share of the motion before arm or string touches an obstacle; 1 without
+        contact
+    hit : whether the tip enters the target before the first contact, as in
+        `stages.hit_test`, and the arm touches nothing at all
     """
 
     distance: np.ndarray
@@ -65,18 +66,17 @@ class CastOutcome:
     def closeness(self) -> np.ndarray:
         """Smooth substitute for each motion's share of samples that hit, (M,).
 
-        1 / (1 + d^2) is 1 at the centre and 1/2 at the inscribed ellipse, and still
-        distinguishes far from farther. Of two that come equally near, a motion that
-        touches nothing is worth more, and so is one that touches something later.
+        1 / (1 + d^2) is 1 at the centre and 1/2 on the inscribed ellipse, and still
+        decreases far away. A contact lowers it, an early contact more than a late one.
         """
-        touched_worth = CONTACT_WORTH * self.free_share
-        worth = np.where(self.free_share == 1, 1, touched_worth)
-        return np.asarray(np.mean(worth / (1 + self.distance**2), axis=1))
+        contact_weight = CONTACT_WEIGHT * self.free_share
+        weight = np.where(self.free_share == 1, 1, contact_weight)
+        return np.asarray(np.mean(weight / (1 + self.distance**2), axis=1))
 
 
 @dataclass(frozen=True)
 class SimulatedMotions:
-    """M motions that were simulated under K samples in turn.
+    """M motions, each simulated under the same K samples.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class SimulatedMotions:
     samples : the samples
     angles : (M K, T, J) joint angles at the ticks [rad]
     simulated : (M K, T, n, 2) simulated points of the string at the ticks [m]
-    error_share : (n,) share of the tip's error that each point has
+    error_share : (n,) error of each point as a share of the tip's
     tip_error : (M K, T or 1, 2) error of the simulated tip [m]
     """
 
@@ -108,7 +108,7 @@ class SimulatedMotions:
         return np.asarray(self.simulated + errors)
 
     def judge(self, task: CastTask) -> CastOutcome:
-        """Judge how near they come to the target of a task, clear of its obstacles."""
+        """Compute how near the tips come to a task's target before any contact."""
         shape = (len(self.curves.duration), len(self.samples))
         end = (self.curves.duration[:, None] - self.samples.lag).ravel()
         times = np.arange(self.simulated.shape[1]) * task.model.arm.tick
@@ -146,9 +146,10 @@ class SimulatedMotions:
 def predict_outcome(
     task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> CastOutcome:
-    """Simulate every motion under every sample.
+    """Simulate every motion under every sample, and compare the tip with the target.
 
-    Movements of similar duration run together, so that none waits long for another.
+    Motions of similar duration are simulated together, because a batch takes as long as
+    its longest motion.
 
     Parameters
     ----------
@@ -181,14 +182,14 @@ def predict_outcome(
 def simulate_motions(
     task: CastTask, curves: Curves, samples: UncertaintySamples
 ) -> SimulatedMotions:
-    """Simulate each motion under all samples in turn.
+    """Simulate each motion under all samples.
 
-    The simulation's error grows along the string to its value at the tip.
+    The simulation's error grows linearly along the string to its value at the tip.
 
     Parameters
     ----------
     task : CastTask
-        Model, and the misfit that similar motions repeat.
+        Model, and misfit of the last cast.
     curves : Curves
         M motions.
     samples : UncertaintySamples
@@ -209,14 +210,14 @@ def tip_errors(
 ) -> np.ndarray:
     """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
 
-    On a motion like the last one its misfit is repeated, and the less alike it is, the
-    more of the error is random. Of a motion unlike it, the sigma is that of the largest
-    misfit until then. T is the number of ticks, or 1 for constant errors.
+    A motion repeats the misfit of the last cast in proportion to their correlation. The
+    rest of the error is random. Its sigma is the larger of `sigma` and the largest
+    misfit so far. T is the number of ticks, or 1 for constant errors.
 
     Parameters
     ----------
     misfit : RepeatedMisfit or None
-        That motions like the last one repeat, if there was one.
+        Misfit of the last cast.
     curves : Curves
         M motions.
     sigma : float
@@ -238,7 +239,7 @@ def tip_errors(
 def sample_joint_motions(
     model: Model, curves: Curves, samples: UncertaintySamples
 ) -> JointMotion:
-    """Return each of M motions as the joints make it under all K samples in turn."""
+    """Return the joint motions of M motions under K samples, each with its gain."""
     tick = model.arm.tick
     angles, speeds = curves.sample(tick, float(curves.duration.max()))
     angles = angles.repeat(len(samples), axis=0)
@@ -250,7 +251,7 @@ def sample_joint_motions(
 
 
 def midpoint_tip_path(tip: np.ndarray) -> np.ndarray:
-    """Insert a point between each two of the tip's path by a cubic.
+    """Insert a point between every two points of the tip's path by a cubic.
 
     The segments are then straight to 1 mm even at 1000 m/s^2.
 
@@ -291,9 +292,9 @@ def distances_of_segments(path: np.ndarray) -> np.ndarray:
 def _contact_ticks(
     task: CastTask, motions: SimulatedMotions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ticks at which the arm and the string touch an obstacle, (C, T) each.
+    """Return whether arm and string touch an obstacle at each tick, (C, T) each.
 
-    The tip's path from the tick before belongs to the string.
+    The string's contacts include those of the tip's path since the tick before.
     """
     arm, string = np.zeros((2, *motions.simulated.shape[:2]), dtype=bool)
     if not task.obstacles:

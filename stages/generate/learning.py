@@ -1,9 +1,9 @@
-"""Expected information of a cast: how well it would predict the next cast's tip.
+"""Expected information of a cast: how well the tip of the next cast can be predicted.
 
-To first order, the strings of each motion under the samples are fitted as linear in the
-exponents of the parameters (with the prior of `least_squares`). What is observed of a
-motion narrows the exponents by its Fisher information, and these in turn the prediction
-of the tip on a motion of interest (c-optimal design).
+For each motion, the simulated strings are fitted as linear functions of the parameters'
+exponents (with the prior of `least_squares`). Observing a motion adds its Fisher
+information about the exponents. This reduces the variance of the tip predicted on a
+motion of interest (c-optimal design).
 
 Reference: A. Atkinson, A. Donev and R. Tobias, Optimum Experimental Designs, 2007,
 chapter 10.
@@ -24,17 +24,18 @@ from stringcast.stages.generate.hit_probability import (
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.parameter import parameter_exponents
 
-OBSERVED_PLACES = 4  # on the string, from its tip, that stand for all observed points
-# in ticks: simulation error lasts, so that a denser sampling is no new evidence
+OBSERVED_PLACES = 4  # points on the string that stand for all observed points
+# ticks between observations; simulation error is correlated in time, so that denser
+# ones add no information
 TICK_STRIDE = 4
-MIN_SIGMA_M = 1e-3  # of observation and simulation together
-RIDGE = 1e-3  # of the exponents' variance: stabilises a fit to few samples
+MIN_SIGMA_M = 1e-3  # error of observation and simulation together
+RIDGE = 1e-3  # share of the exponents' variance; stabilises a fit to few samples
 
 
 def predictive_sd(
     task: CastTask, curves: Curves, samples: UncertaintySamples, interest: int
 ) -> np.ndarray:
-    """Predict how uncertain the tip at the target is after each of several motions.
+    """Predict the uncertainty of the tip at the target after each of several motions.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ def predictive_sd(
     samples : UncertaintySamples
         K samples of the uncertain quantities.
     interest : int
-        Number of the motion whose tip is to be predicted.
+        Index of the motion whose tip is predicted.
 
     Returns
     -------
@@ -54,7 +55,7 @@ def predictive_sd(
         fails.
     """
     sigma = max(MIN_SIGMA_M, samples.tip_sigma)
-    # the string alone: with few samples, chance would look like an effect of the string
+    # without arm and tip errors: with few samples they would correlate with parameters
     strings = replace(
         samples,
         amplitude=0 * samples.amplitude,
@@ -62,13 +63,13 @@ def predictive_sd(
         tip_normal=0 * samples.tip_normal,
     )
     chi = parameter_exponents(task.model.parameters, samples.values)
-    # (K, P), of the parameters that vary
+    # (K, P), parameters that vary
     varying = chi[:, np.ptp(chi, axis=0) > 0]
     exponents = varying - varying.mean(axis=0)
     ridge = RIDGE * np.eye(exponents.shape[1])
     precision = np.linalg.inv(exponents.T @ exponents / len(strings) + ridge)
 
-    # each sample's tip (K, 2) [m] when the typical one is nearest to the target
+    # tip of each sample (K, 2) [m] when the median sample's is nearest to the target
     interesting = curves.select(np.array([interest]))
     points = simulate_motions(task, interesting, strings).points
     path = midpoint_tip_path(points[:, :, -1])
@@ -90,7 +91,7 @@ def predictive_sd(
 
 
 def _jacobian(exponents: np.ndarray, observed: np.ndarray) -> np.ndarray:
-    """Slopes (P, Y) of observed quantities (K, Y) over the exponents (K, P)."""
+    """Fit slopes (P, Y) of observed quantities (K, Y) over the exponents (K, P)."""
     ridge = RIDGE * len(exponents) * np.eye(exponents.shape[1])
     centred = observed - observed.mean(axis=0)
     return np.linalg.solve(exponents.T @ exponents + ridge, exponents.T @ centred)

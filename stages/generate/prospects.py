@@ -1,7 +1,7 @@
-"""What limits a cast that is likely to miss, what it could reach, and what would help.
+"""Why a cast is likely to miss, which box it could hit, and what would help.
 
-Log and page state it before the cast. The nearest box that is likely to be hit lies on
-the path of a motion that was tried; a plan for that box may do better.
+Log and page state this before the cast. The stated box lies on the path of a motion
+that was tried; a plan for that box may do better.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from stringcast.stages.model.target import Target
 
 UNLIKELY_HIT = 0.5  # probability below which the reason is stated
 LIKELY_HIT = 0.8
-MAX_BOXES = 200  # that are tried
-MIN_LEARNING_RATIO = 0.7  # of uncertainties: a gain that is worth a cast
+MAX_BOXES = 200  # boxes that are tried
+# ratio of tip uncertainties below which another motion is recommended
+MAX_INFORMATIVE_RATIO = 0.7
 UNCERTAINTY, OBSTACLE, ARM = "uncertainty", "obstacle", "arm"
 ARRIVAL = "arrival"
 REASONS = {
@@ -47,7 +48,7 @@ def find_prospects(
     samples: UncertaintySamples,
     validation: UncertaintySamples,
 ) -> dict[str, float | str]:
-    """Find what limits the chosen motion, what could be reached, and what would help.
+    """Find why the chosen motion may miss, a box it could hit, and what would help.
 
     Parameters
     ----------
@@ -56,9 +57,9 @@ def find_prospects(
     candidates : Curves
         Motions that were tried.
     chosen : int
-        Number of the motion that is cast.
+        Index of the motion that is cast.
     samples, validation : UncertaintySamples
-        Samples of the uncertain quantities, and independent ones that check a box.
+        Samples of the uncertain quantities, and independent ones to check a box.
 
     Returns
     -------
@@ -109,10 +110,10 @@ def is_limited_by_arrival(task: CastTask, motion: SimulatedMotions) -> bool:
 def likely_boxes(
     task: CastTask, motions: Sequence[SimulatedMotions]
 ) -> Iterator[tuple[SimulatedMotions, Target]]:
-    """Yield boxes that one of several motions is likely to hit, and the motion.
+    """Yield boxes that a motion is likely to hit, with the motion, nearest box first.
 
-    Boxes lie around the typical tip at ticks at which the tips of many samples are near
-    it, no farther from the target than the string is long. The nearest are the first.
+    A box lies around the median tip at a tick at which the tips of many samples are
+    near it. It is no farther from the target than the string is long.
     """
     target = task.target
     boxes = []  # distance from the target [m], number of the motion, centre [m]
@@ -137,7 +138,7 @@ def likely_boxes(
 
 
 def describe_prospects(outcome: pd.Series) -> str:
-    """Describe why a motion is likely to miss, and what would hit or help.
+    """Describe why a motion is likely to miss, a box it could hit, and what would help.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def describe_prospects(outcome: pd.Series) -> str:
     tip_sd, taught_sd = outcome.get("tip_sd", np.nan), outcome.get("taught_sd", np.nan)
     if np.isfinite(tip_sd):
         known = f"After this cast the tip is known to {MM_PER_M * tip_sd:.0f} mm there"
-        if taught_sd < MIN_LEARNING_RATIO * tip_sd:
+        if taught_sd < MAX_INFORMATIVE_RATIO * tip_sd:
             known += (
                 f", after the most informative motion that was tried to "
                 f"{MM_PER_M * taught_sd:.0f} mm (generate.exploration=1)"

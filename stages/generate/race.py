@@ -1,4 +1,4 @@
-"""A race of random motions: all on a few samples, the nearest ones on more, and so on.
+"""Race random motions: all on a few samples, the nearest ones on more, and so on.
 
 Successive halving: K. Jamieson and A. Talwalkar, Non-stochastic best arm identification
 and hyperparameter optimization, AISTATS 2016.
@@ -26,14 +26,14 @@ from stringcast.stages.generate.refine import MotionSpace
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.arm import Arm
 
-# of the accelerations: a gentle cast is predicted better
+# factors on the limit of accelerations; gentle casts are predicted better
 SPEED_SHARES = (1.0, 0.5, 0.25)
-MIN_CHANGE_SHARE = 0.03  # of a change of the last motion
-BATCH_SIZE = 128  # movements whose limits are checked together
-MAX_BATCHES = 100  # of one kind
-FIRST_SAMPLES = 3  # with which the race begins
-SAMPLE_GROWTH = 3  # factor from one round to the next ...
-MOTION_REDUCTION = 4  # ... in which so many times fewer motions remain
+MIN_CHANGE_SHARE = 0.03  # smallest factor on a change of the last motion
+BATCH_SIZE = 128  # motions whose limits are checked together
+MAX_BATCHES = 100  # for each way to draw motions
+FIRST_SAMPLES = 3  # samples in the first round
+SAMPLE_GROWTH = 3  # factor on the samples from one round to the next
+MOTION_REDUCTION = 4  # factor by which the motions become fewer in a round
 
 
 def sample_feasible_motions(
@@ -44,10 +44,10 @@ def sample_feasible_motions(
     count: int,
     rng: np.random.Generator,
 ) -> Curves:
-    """Sample random movements that the arm can make.
+    """Sample random motions that the arm can make.
 
-    A quarter of them are changes of the previous motion, if there is one. There are
-    fewer than `count` where hardly any movement is possible.
+    A quarter of them are changes of the previous motion, if there is one. Fewer than
+    `count` are returned if hardly any motion is feasible.
     """
     arm = space.arm
     durations = (space.shortest, space.longest)
@@ -61,7 +61,7 @@ def sample_feasible_motions(
         feasible.append(feasible_motions(task, last))
         change = (space.alpha, last, fraction)
         changed = partial(next_curves, arm, rng, BATCH_SIZE, durations, *change)
-        kinds.append(partial(draw_between, arm, rng, last, changed))
+        kinds.append(partial(draw_scaled_changes, arm, rng, last, changed))
     for draw in kinds:
         found = 0
         for _ in range(MAX_BATCHES):
@@ -73,12 +73,12 @@ def sample_feasible_motions(
     return join_curves(feasible)
 
 
-def draw_between(
+def draw_scaled_changes(
     arm: Arm, rng: np.random.Generator, last: Curves, draw: Callable[[], Curves]
 ) -> Curves:
-    """Draw changes of the last motion of all sizes, from slight ones to whole ones.
+    """Draw changes of the last motion, scaled down to all sizes.
 
-    The share of a change is between MIN_CHANGE_SHARE and 1, uniform in its logarithm.
+    The factor is between MIN_CHANGE_SHARE and 1, uniform in its logarithm.
     """
     changed = draw()
     share = np.exp(rng.uniform(np.log(MIN_CHANGE_SHARE), 0, len(changed.duration)))
@@ -88,7 +88,7 @@ def draw_between(
 
 
 def feasible_motions(task: CastTask, curves: Curves) -> Curves:
-    """Select the movements that keep every limit of the arm."""
+    """Select the motions that keep every limit of the arm."""
     arm = task.model.arm
     angles, speeds = curves.sample(arm.tick, float(curves.duration.max()))
     faults = arm_faults(arm, task.obstacles, angles, speeds)
@@ -96,9 +96,9 @@ def feasible_motions(task: CastTask, curves: Curves) -> Curves:
 
 
 def race_motions(task: CastTask, curves: Curves, samples: UncertaintySamples) -> Curves:
-    """Rank movements on growing parts of the samples, and drop the worst each time.
+    """Rank motions on growing parts of the samples, and drop the worst in each round.
 
-    Returns those left after the round with all samples, the nearest first.
+    Returns the motions left after the round with all samples, nearest first.
     """
     count = FIRST_SAMPLES
     while True:

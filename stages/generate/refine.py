@@ -1,4 +1,4 @@
-"""Refinement of motions by CMA-ES on a smooth substitute for their hit probability.
+"""Refine motions by CMA-ES on a smooth substitute for their hit probability.
 
 Reference: N. Hansen, The CMA evolution strategy: a tutorial, arXiv 1604.00772 (cmaes
 package).
@@ -24,16 +24,16 @@ from stringcast.stages.model.arm import Arm
 
 POPULATION_SIZE = 12  # candidates in a generation of CMA-ES
 INITIAL_STEP = 0.02  # as a share of each coordinate's range
-# largest acceleration of a refined motion, in alpha; the arm's limits hold in any case
+# largest acceleration of a refined motion in units of alpha, within the arm's limits
 MAX_STEP_RATIO = 3.0
-# candidates drawn for each one simulated, because the arm cannot make some
+# candidates drawn for each one simulated, because some are infeasible
 SPARE_FACTOR = 2
-INFEASIBLE_LOSS = 2.0  # worse than a motion that never comes near
+INFEASIBLE_LOSS = 2.0  # above 1, the loss of a motion that never comes near
 
 
 @dataclass(frozen=True)
 class MotionSpace:
-    """Movements as points (D,) with coordinates of order one.
+    """Motions as points (D,) with coordinates of order one.
 
     The coordinates are start angles and T as shares of their ranges, then the
     accelerations alpha_n of Eq. 2 as shares of alpha.
@@ -59,7 +59,7 @@ class MotionSpace:
         return np.array(shares + accelerations)
 
     def points(self, curves: Curves) -> np.ndarray:
-        """Convert movements to points (B, D)."""
+        """Convert motions to points (B, D)."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
         start = (curves.start - lowest) / (highest - lowest)
         span = max(self.longest - self.shortest, self.arm.tick)
@@ -69,7 +69,7 @@ class MotionSpace:
         return np.concatenate([start, duration[:, None], acceleration], axis=1)
 
     def curves(self, points: np.ndarray) -> Curves:
-        """Convert points (B, D) to movements."""
+        """Convert points (B, D) to motions."""
         lowest, highest = np.array(self.arm.lowest), np.array(self.arm.highest)
         joints = len(lowest)
         start = lowest + points[:, :joints] * (highest - lowest)
@@ -87,11 +87,11 @@ def refine_motions(
     iterations: int,
     seed: int,
 ) -> Curves:
-    """Refine each start and return the best movement found from it.
+    """Refine each start and return the best motion found from it.
 
-    All are tried on the same samples, so that chance does not decide between two. The
-    searches take their steps together: one batch of simulations serves them all. As in
-    a race, the worse half of them ends in turn, until one is left.
+    All searches use the same samples, so that chance does not decide between them. They
+    step together: one batch of simulations serves them all. The worse half of the
+    searches is dropped in turn, until one is left.
     """
     points = space.points(starts)
     best = points.copy()
@@ -125,7 +125,7 @@ def refine_motions(
                 if count and closeness.max() > best_closeness[number]:
                     best[number] = drawn[np.argmax(closeness)]
                     best_closeness[number] = closeness.max()
-        # the better half of the searches goes on
+        # drop the worse half of the searches
         ranked = active[np.argsort(-best_closeness[active], kind="stable")]
         active = ranked[: -(-len(ranked) // 2)]
     return space.curves(best)
@@ -134,7 +134,7 @@ def refine_motions(
 def _draw_candidates(
     task: CastTask, space: MotionSpace, search: CMA
 ) -> tuple[np.ndarray, int]:
-    """Points (POPULATION_SIZE, D) of a search, feasible ones first, and their count."""
+    """Draw points (POPULATION_SIZE, D), feasible ones first, and count the feasible."""
     points = np.stack([search.ask() for _ in range(SPARE_FACTOR * POPULATION_SIZE)])
     curves = space.curves(points)
     sampled = curves.sample(space.arm.tick, float(curves.duration.max()))

@@ -1,11 +1,10 @@
 """The misfit of the last cast, which a similar motion repeats.
 
-What a model leaves out moves the tip in nearly the same way on motions that are nearly
-the same. The misfit is therefore a Gaussian process over the path of the hand (Kennedy
-and O'Hagan, J. R. Stat. Soc. B 63, 425, 2001), known on the last cast. A motion close
-to that is corrected by its misfit; one far from it is as uncertain as the misfit is
-large.
-Iterative learning control repeats a motion for the same reason.
+An effect missing in the model moves the tip alike on similar motions. The misfit is
+therefore a Gaussian process over the path of the hand (Kennedy and O'Hagan, J. R. Stat.
+Soc. B 63, 425, 2001), known on the last cast. A similar motion is corrected by this
+misfit. On a distant motion the misfit counts as uncertainty. Iterative learning control
+repeats a motion for the same reason.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from stringcast.data.estimates import Estimate
 from stringcast.stages.generate.curves import Curves, curves_from_motion
 from stringcast.stages.model.arm import Arm
 
-# Of the string's length: distance of two paths of the hand, root mean square until now,
-# at which misfits of the tip have a correlation of 0.6. Measured: see README.md.
+# root mean square distance of two hand paths, as a share of the string's length, at
+# which misfits of the tip have a correlation of 0.6; measured, see README.md
 SIMILARITY_SHARE = 1 / 3
 
 
@@ -34,7 +33,8 @@ class RepeatedMisfit:
     last : the motion of the last cast
     times : (T,) [s]
     tip : (T, 2) measured less simulated tip at these times [m]
-    similarity : distance of two paths of the hand at which misfits are still alike [m]
+    similarity : distance of two hand paths at which misfits have a correlation of 0.6
+        [m]
     """
 
     arm: Arm
@@ -44,9 +44,9 @@ class RepeatedMisfit:
     similarity: float
 
     def correlation(self, curves: Curves, until: float) -> np.ndarray:
-        """Compute how alike the misfits of M motions are to the last, (M, K) at ticks.
+        """Compute the correlation of M motions' misfits with the last, (M, K) at ticks.
 
-        What the hand does later does not count.
+        At each tick, only the hand paths until then count.
 
         Parameters
         ----------
@@ -73,8 +73,8 @@ class RepeatedMisfit:
     def sigma_at_ticks(self, count: int) -> np.ndarray:
         """Return the largest misfit until each tick, as a coordinate's sigma, (K,) [m].
 
-        The residual of an estimate is a mean over all trials and over the string, which
-        hardly moves near the hand. The tip may be off by more.
+        The residual of an estimate is averaged over all trials and points, also those
+        near the hand, which hardly move. The error of the tip may be larger.
         """
         sizes = np.hypot(*self.tip_at_ticks(count).T)
         return np.asarray(np.maximum.accumulate(sizes) / np.sqrt(2))
@@ -105,8 +105,8 @@ def find_repeated_misfit(
     Returns
     -------
     RepeatedMisfit or None
-        None without a cast, as no cast resembles a look, and if the last trial of the
-        estimate is not the previous motion, because that could not be trusted.
+        None if there was no cast yet (a look is too slow to compare), or if the last
+        trial of the estimate is not the previous motion.
     """
     if previous is None or not previous.is_cast:
         return None

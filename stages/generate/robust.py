@@ -1,7 +1,7 @@
-"""Generation of the motion most likely to hit, over many samples of the string.
+"""Choose the motion most likely to hit, over many samples of the string.
 
-Random motions race and the winners are refined. Validation samples, which had no part
-in the choice, give the hit probability of the chosen motion.
+Random motions race and the winners are refined. Independent validation samples give the
+hit probability of the chosen motion.
 """
 
 from __future__ import annotations
@@ -58,10 +58,10 @@ stats = LazyModule("scipy.stats")
 
 FINALIST_COUNT = 4  # winners of the race that are refined
 RUNNER_UP_COUNT = 8  # winners of the race that may be chosen unrefined
-SUFFICIENT_HIT_SHARE = 0.5  # of the samples: no further search is made
-# Simulated strings, counted in default runs
+SUFFICIENT_HIT_SHARE = 0.5  # share of the samples that ends the search
+# simulated strings, counted in default runs
 STRINGS_PER_RACING_MOTION = 12
-STRINGS_PER_GENERATION = 48  # finalists of the race times candidates of each
+STRINGS_PER_GENERATION = 48  # finalists of the race times CMA-ES population
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,8 @@ class SearchEffort(SettingsGroup):
     motions : number of random motions that race
     string_samples : number of samples on which winners are refined
     cma_iterations : number of iterations of the refinement
-    max_restarts : largest number of searches, while no motion hits half of the samples;
-        one before the first trial
+    max_restarts : largest number of searches; a search is repeated while no motion hits
+        half of the samples, but not before the first trial
     exploration : closeness (see `CastOutcome`) that may be given up for a more
         informative cast
     validation : number of independent samples for the hit probability
@@ -130,19 +130,19 @@ def generate(
 ) -> Motion:
     """Generate the motion whose tip is most likely to hit the target.
 
-    A motion that hits with no sample is still returned: it comes nearest, and the cast
-    teaches what the string is like.
+    If no motion hits any sample, the nearest one is returned: the cast improves the
+    estimate.
 
     Parameters
     ----------
     model : Model
         String and arm.
     target : Target
-        Box that the tip shall enter [m], and how it shall arrive.
+        Box that the tip should enter [m], with the wanted direction and speed.
     obstacles : sequence of Box
-        Boxes that the arm may not touch, nor the string before it hits [m].
+        Boxes [m] that the arm may not touch at all, and the string not before it hits.
     previous : Motion or None
-        The last motion; a quarter of those tried are slight changes of it.
+        The last motion; a quarter of the random motions are changes of it.
     estimate : Estimate or None
         Latest estimate of the string.
     seed : int
@@ -154,7 +154,7 @@ def generate(
     uncertainty : PlanningUncertainty
         Uncertainty of arm and simulation.
     progress : callable
-        Called with the share that is done.
+        Called with the completed share.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def generate(
     Raises
     ------
     MotionNotFoundError
-        If the arm can make no motion, or none is clear of the obstacles.
+        If the arm can make no motion, or none avoids the obstacles.
     DataError
         If the target is out of reach or the range of durations is empty.
     """
@@ -180,7 +180,7 @@ def generate(
         return sample_uncertainty(*known, count, rng, draw_uniforms, least_tip_error)
 
     samples = draw_samples(search.string_samples, stratified_uniforms)
-    # no motion hits half of all strings that are possible before the first trial
+    # before the first trial no motion hits half of the possible strings
     max_searches = 1 if estimate is None else search.max_restarts
     results: list[SearchResult] = []
     for number in range(max_searches):
@@ -222,9 +222,9 @@ def generate(
 def _choose_motion(
     task: CastTask, candidates: Curves, samples: UncertaintySamples, exploration: float
 ) -> int:
-    """Choose the motion that teaches most among those almost as close as the best.
+    """Choose the most informative motion among those almost as close as the best.
 
-    samples: new ones, with which none was found. exploration: closeness that may be
+    samples: new ones, which no motion was fitted to. exploration: closeness that may be
     given up.
     """
     closeness = predict_outcome(task, candidates, samples).closeness
@@ -246,7 +246,7 @@ def search_motions(
     seed: int,
     progress: Progress,
 ) -> SearchResult:
-    """Find the best of random motions and refine them.
+    """Find the best random motions and refine them.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def search_motions(
     seed : int
         Seed of the refinement.
     progress : callable
-        Called with the share that is done.
+        Called with the completed share.
 
     Returns
     -------
@@ -293,9 +293,9 @@ def search_motions(
 def build_motion_artifact(
     task: CastTask, curve: Curves, samples: UncertaintySamples, tried: int
 ) -> Motion:
-    """Build the artifact of one movement, with its hit probability under the samples.
+    """Build the artifact of one motion, with its hit probability under the samples.
 
-    The predicted string is that of a typical sample.
+    The predicted string is that of the median sample among those that hit, if any.
     """
     outcome = predict_outcome(task, curve, samples)
     hit = outcome.hit[0]
@@ -307,8 +307,8 @@ def build_motion_artifact(
             "obstacle or cannot be simulated. Allow more generate.motions and "
             "generate.cma_iterations, or move the obstacles."
         )
-    hits_first = np.lexsort((distance, ~hit))  # and the nearest of them first
-    typical = samples.select(hits_first[[hit.sum() // 2]])
+    by_hit_and_distance = np.lexsort((distance, ~hit))
+    typical = samples.select(by_hit_and_distance[[hit.sum() // 2]])
     points = simulate_motions(task, curve, typical).points[0]
     path = midpoint_tip_path(points[None, :, -1])[0]
     tick = task.model.arm.tick
@@ -341,7 +341,7 @@ def build_motion_artifact(
 def describe_correction(
     task: CastTask, curve: Curves, t_hit: float
 ) -> dict[str, float]:
-    """Return how much of the last cast's misfit one movement repeats at a time [s]."""
+    """Return how much of the last cast's misfit a motion repeats at time t_hit [s]."""
     if task.misfit is None:
         return {}
     correlation = task.misfit.correlation(curve, float(curve.duration[0]))[0]

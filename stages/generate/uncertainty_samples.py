@@ -14,7 +14,7 @@ from stringcast.data.estimates import Estimate
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
-# Draws numbers between 0 and 1 for so many samples of so many quantities.
+# draws (samples, quantities) numbers between 0 and 1
 DrawUniforms = Callable[[np.random.Generator, int, int], np.ndarray]
 SmallNumber = Annotated[float, Field(ge=0, le=0.1)]
 
@@ -43,7 +43,7 @@ class UncertaintySamples:
     Parameters
     ----------
     values : (K, P) values of the model's parameters
-    amplitude : (K, J) share by which joints turn more than commanded
+    amplitude : (K, J) relative error of the joint rotations
     lag : (K,) delay of the joints [s]
     tip_sigma : error of the simulated tip, one sigma of a coordinate [m]
     tip_normal : (K, 2) the tip's error in units of its sigma
@@ -80,7 +80,7 @@ def independent_uniforms(
 def stratified_uniforms(
     rng: np.random.Generator, count: int, quantities: int
 ) -> np.ndarray:
-    """Draw numbers of which each of `count` equal parts of the range holds one.
+    """Draw one number from each of `count` equal parts of the range.
 
     Latin hypercube sampling (McKay, Beckman and Conover, Technometrics 21, 239, 1979):
     means over the samples vary less than those of independent ones.
@@ -103,12 +103,12 @@ def sample_uncertainty(
     draw_uniforms: DrawUniforms = independent_uniforms,
     least_tip_error: float = 0.0,
 ) -> UncertaintySamples:
-    """Sample the string, how the arm follows, and the simulation's error.
+    """Sample the string, the arm's errors and the simulation's error.
 
     Strings are samples of the estimate. Before the first estimate, every exponent
     within a parameter's range is equally likely (Eq. 3), except that known parameters
-    keep their values. The simulation's error is then the model's, as the estimate
-    states it.
+    keep their values. With an estimate, the simulation's error is the model error that
+    it states.
 
     Parameters
     ----------
@@ -123,10 +123,10 @@ def sample_uncertainty(
     rng : numpy.random.Generator
         Source of randomness.
     draw_uniforms : callable
-        Draws numbers between 0 and 1, as `independent_uniforms`.
+        Draws numbers between 0 and 1, such as `independent_uniforms`.
     least_tip_error : float
         Least error of the simulated tip with an estimate, one sigma of a coordinate
-        [m]: slow trials show less of it than a cast.
+        [m]; slow trials show less of the error than a cast.
 
     Returns
     -------

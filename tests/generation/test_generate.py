@@ -1,4 +1,4 @@
-"""Motions: the paper's prescription, the arm's limits, and their hits."""
+"""Random motions: Eq. 2 of the paper, the arm's limits, and hits."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 
-# implicit steps, of which few are enough
+# implicit steps allow large time steps
 STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 SETTINGS = {
     "attempts": 20000,
@@ -33,13 +33,13 @@ TARGET = Target(0.4, 0.7, 0.02, 0.04)
 
 
 def generate(*given, seed, **settings):
-    """Generate a motion as a run does, with settings as keywords."""
+    """Generate a motion through the stage, with settings as keywords."""
     return bind_stage(
         {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
 
 
-def test_a_box_is_crossed_by_what_passes_through_it_only():
+def test_segments_that_pass_through_a_box_cross_it():
     box = Box(0.0, 0.0, 2.0, 1.0)
     a = np.array(
         [
@@ -74,7 +74,7 @@ def test_a_box_is_crossed_by_what_passes_through_it_only():
     ]
 
 
-def test_angles_are_the_integral_of_a_bezier_velocity():
+def test_angles_are_the_integral_of_bezier_velocity():
     control = np.random.default_rng(0).normal(size=(1, 3, 6))
     control[..., [0, -1]] = 0
     curve = Curves(np.array([[0.1, -0.2, 0.3]]), np.array([0.8]), control)
@@ -90,7 +90,7 @@ def test_angles_are_the_integral_of_a_bezier_velocity():
     np.testing.assert_allclose(speeds[0, 4000], middle, rtol=1e-9)
 
 
-def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
+def test_control_points_follow_equation_2_and_changes_are_bounded(arm):
     rng = np.random.default_rng(1)
     first = first_curves(arm, rng, 500, (0.2, 1.5), 150.0)
     assert np.all(first.control[..., [0, -1]] == 0)
@@ -108,11 +108,8 @@ def test_control_points_follow_equation_2_and_later_ones_stay_near(arm):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
-    """A motion hits in simulation within every limit.
-
-    It is checked again from the commands alone, with another sampling.
-    """
+def test_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
+    """The hit is checked from the commands alone, with another sampling."""
     wall = Box(0.6, 0.35, 0.05, 0.3)  # an obstacle to most motions
     motion = generate(
         Model(STRING, arm, camera),
@@ -147,7 +144,7 @@ def test_a_motion_hits_in_simulation_within_every_limit(arm, camera, seed):
     assert attempts["the string touches an obstacle"] > 0
 
 
-def test_a_slower_hand_is_obeyed_throughout(arm, camera):
+def test_lower_hand_speed_limit_is_kept(arm, camera):
     slow = replace(arm, hand_speed=4.0)
     motion = generate(
         Model(STRING, slow, camera), TARGET, (), None, None, seed=1, **SETTINGS
@@ -160,7 +157,7 @@ def test_a_slower_hand_is_obeyed_throughout(arm, camera):
     assert motion.attempts.set_index("outcome")["count"]["the hand is too fast"] > 0
 
 
-def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
+def test_hit_with_longest_stay_in_the_box_is_taken(arm, camera):
     def stay(hits, seed):
         motion = generate(
             Model(STRING, arm, camera),
@@ -184,12 +181,8 @@ def test_of_several_hits_the_one_that_stays_longest_is_taken(arm, camera):
     assert sum(best) > sum(first) + 0.002
 
 
-def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, camera):
-    """If no slight change of the last motion hits, any motion may be chosen.
-
-    Changes of one part in a million stay where the last motion went, 0.5 m from this
-    target.
-    """
+def test_new_motions_are_tried_if_no_change_of_the_last_hits(arm, camera):
+    """Changes of one part in a million miss this target by 0.5 m."""
     model = Model(STRING, arm, camera)
     last = generate(model, TARGET, (), None, None, seed=0, **SETTINGS)
     stuck = SETTINGS | {"fraction": 1e-6, "attempts": 4096}
@@ -203,7 +196,7 @@ def test_where_no_slight_change_of_the_last_motion_hits_any_motion_may(arm, came
     )
 
 
-def test_a_target_that_no_motion_hits_is_refused_with_the_reason(arm, camera):
+def test_target_that_no_motion_hits_is_refused_with_the_reason(arm, camera):
     with pytest.raises(DataError, match="out of reach"):
         generate(
             Model(STRING, arm, camera),

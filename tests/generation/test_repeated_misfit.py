@@ -1,4 +1,4 @@
-"""A motion like the last one repeats its misfit; one that differs does not."""
+"""A motion similar to the last one repeats its misfit; a distant one does not."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ from stringcast.stages.generate.hit_probability import (
     simulate_motions,
     tip_errors,
 )
-from stringcast.stages.generate.race import MIN_CHANGE_SHARE, draw_between
+from stringcast.stages.generate.race import MIN_CHANGE_SHARE, draw_scaled_changes
 from stringcast.stages.generate.repeated_misfit import (
     RepeatedMisfit,
     find_repeated_misfit,
@@ -60,7 +60,7 @@ def estimate_of(misfit, hand):
     return SimpleNamespace(misfit=table)
 
 
-def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(misfit, samples):
+def test_same_motion_repeats_misfit_and_distant_one_does_not(misfit, samples):
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
     curves = join_curves([misfit.last, far])
     errors = tip_errors(misfit, curves, MODEL_ERROR_M, samples.tip_normal)
@@ -72,8 +72,8 @@ def test_the_same_motion_repeats_the_misfit_and_a_distant_one_does_not(misfit, s
     np.testing.assert_allclose(at_end, random, rtol=1e-3, atol=1e-5)
 
 
-def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(misfit, samples):
-    """The misfit is three times the model's error halfway, and then turns back."""
+def test_uncertainty_of_distant_motion_is_the_largest_misfit(misfit, samples):
+    """The misfit is three times the model's error halfway, and zero otherwise."""
     tip = np.zeros_like(misfit.tip)
     tip[50:60] = 3 * np.sqrt(2) * MODEL_ERROR_M, 0.0
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
@@ -85,7 +85,7 @@ def test_a_distant_motion_is_as_uncertain_as_the_misfit_was_large(misfit, sample
     np.testing.assert_allclose(after, 3 * random, rtol=1e-3, atol=1e-5)
 
 
-def test_only_what_the_hand_did_until_now_makes_motions_differ(arm, misfit):
+def test_correlation_ignores_later_hand_motion(arm, misfit):
     late = replace(misfit.last, control=misfit.last.control.copy())
     late.control[..., -2] += 3.0
     correlation = misfit.correlation(late, DURATION_S)[0]
@@ -96,7 +96,7 @@ def test_only_what_the_hand_did_until_now_makes_motions_differ(arm, misfit):
     assert correlation[-1] < 0.99
 
 
-def test_the_correlation_is_that_of_a_gaussian_of_the_distance(arm, misfit):
+def test_correlation_is_a_gaussian_of_hand_path_distance(arm, misfit):
     turned = replace(misfit.last, start=misfit.last.start + [0.1, 0, 0])
     distance = hand_paths(arm, turned, DURATION_S) - hand_paths(
         arm, misfit.last, DURATION_S
@@ -107,7 +107,7 @@ def test_the_correlation_is_that_of_a_gaussian_of_the_distance(arm, misfit):
     assert 0.3 < expected < 0.95
 
 
-def test_a_target_is_hit_where_the_misfit_brings_the_tip(arm, camera, misfit, samples):
+def test_repeated_misfit_is_included_in_hit_prediction(arm, camera, misfit, samples):
     """A target that the model misses by the misfit is hit by repeating the motion."""
     model = Model(String(LENGTH_M), arm, camera)
     plain = CastTask(model, Target(0.0, 0.0, 0.02, 0.02), ())
@@ -123,40 +123,40 @@ def test_a_target_is_hit_where_the_misfit_brings_the_tip(arm, camera, misfit, sa
     np.testing.assert_allclose(corrected_tips[0], tips[0] + misfit.tip, atol=1e-9)
 
 
-def test_a_plan_says_by_how_much_it_is_corrected(arm, camera, misfit, samples):
+def test_plan_reports_its_correction(arm, camera, misfit, samples):
     task = CastTask(Model(String(LENGTH_M), arm, camera), None, (), misfit)
-    said = describe_correction(task, misfit.last, 0.4)
-    assert said["likeness"] == 1
-    assert said["correction"] == pytest.approx(0.8 * np.hypot(*MISFIT_M))
+    described = describe_correction(task, misfit.last, 0.4)
+    assert described["likeness"] == 1
+    assert described["correction"] == pytest.approx(0.8 * np.hypot(*MISFIT_M))
     far = replace(misfit.last, start=misfit.last.start + [1.0, 0, 0])
-    said = describe_correction(task, far, 0.4)
-    assert said["correction"] < 1e-3
+    described = describe_correction(task, far, 0.4)
+    assert described["correction"] < 1e-3
     assert describe_correction(replace(task, misfit=None), far, 0.4) == {}
 
 
-def test_the_misfit_of_another_motion_is_not_repeated(arm, camera, misfit, samples):
+def test_misfit_of_another_motion_is_not_used(arm, camera, misfit, samples):
     task = CastTask(
         Model(String(LENGTH_M), arm, camera), Target(0.4, 0.7, 0.02, 0.04), ()
     )
     last = build_motion_artifact(task, misfit.last, samples, 1)
-    own = estimate_of(misfit, misfit.hand_path(last.duration))
-    found = find_repeated_misfit(arm, LENGTH_M, last, own)
+    same_motion = estimate_of(misfit, misfit.hand_path(last.duration))
+    found = find_repeated_misfit(arm, LENGTH_M, last, same_motion)
     np.testing.assert_array_equal(found.tip, misfit.tip)
     np.testing.assert_allclose(found.last.control, misfit.last.control)
     other = estimate_of(misfit, misfit.hand_path(last.duration) + [0.2, 0.0])
     assert find_repeated_misfit(arm, LENGTH_M, last, other) is None
-    assert find_repeated_misfit(arm, LENGTH_M, None, own) is None
+    assert find_repeated_misfit(arm, LENGTH_M, None, same_motion) is None
     assert find_repeated_misfit(arm, LENGTH_M, last, None) is None
 
 
-def test_changes_of_the_last_motion_have_all_sizes(arm):
+def test_changes_of_last_motion_are_log_uniform_in_size(arm):
     curves = plain_cast(arm, DURATION_S)
     rng = np.random.default_rng(1)
 
     def draw():
         return next_curves(arm, rng, 2000, (0.2, 0.8), 150.0, curves, 0.25)
 
-    changed = draw_between(arm, rng, curves, draw)
+    changed = draw_scaled_changes(arm, rng, curves, draw)
     whole = np.abs(draw().control - curves.control).mean()
     sizes = np.abs(changed.control - curves.control).mean(axis=(1, 2)) / whole
     assert np.quantile(sizes, [0.02, 0.98]) == pytest.approx(

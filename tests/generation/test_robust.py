@@ -1,7 +1,4 @@
-"""Motions chosen under uncertainty.
-
-Predictions hold, and many possible strings count for more than one.
-"""
+"""Motions chosen under uncertainty of string, arm and simulation."""
 
 from dataclasses import replace
 
@@ -49,7 +46,7 @@ from stringcast.stages.model.parameter import parameter_exponents
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 
-# implicit steps, of which few are enough
+# implicit steps allow large time steps
 STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 TARGET = Target(0.4, 0.7, 0.02, 0.04)
 NONE = PlanningUncertainty(0.0, 0.0, 0.0)
@@ -86,25 +83,22 @@ COMMON = {
 }
 
 
-def likeliest(*given, seed, **settings):
-    """Choose the likeliest motion as a run does, with settings as keywords."""
+def generate_robust(*given, seed, **settings):
+    """Generate a robust motion through the stage, with settings as keywords."""
     return bind_stage(
         {"_target_": "stages.generate.robust.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
 
 
-def first_come(*given, seed, **settings):
-    """Choose a motion in the same way, without regard to the uncertainty."""
+def generate_plain(*given, seed, **settings):
+    """Generate a motion through the stage, for the best string alone."""
     return bind_stage(
         {"_target_": "stages.generate.generate.generate"} | settings, "generate", "here"
     )(*given, seed=seed)
 
 
 def estimate_of(*strings, rms=0.0):
-    """Return an estimate whose trials leave exactly these strings possible.
-
-    The first of them is the best.
-    """
+    """Return an estimate whose draws are these strings; the first is the best."""
     best = COMMON | strings[0]
     parameters = pd.DataFrame({"name": list(best), "value": list(best.values())})
     nothing = pd.DataFrame()
@@ -117,11 +111,8 @@ def estimate_of(*strings, rms=0.0):
     )
 
 
-def performed(model, motion, values):
-    """Simulate strings (K, F, n, 2) under the commands as they are sent.
-
-    They are sampled again. Returns the times, too.
-    """
+def simulate_commands(model, motion, values):
+    """Simulate strings (K, F, n, 2) under the commands, with another sampling."""
     commands = motion.commands
     joints = resample_joint_motion(
         commands["t"].to_numpy(), commands[["q1", "q2", "q3"]].to_numpy()
@@ -136,23 +127,19 @@ def model(arm, camera):
 
 
 @pytest.fixture(scope="module")
-def blind(model):
-    """Choose the first motion with nothing known of the string."""
-    return likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
+def first_motion(model):
+    """Generate a motion for an unknown string."""
+    return generate_robust(model, TARGET, (), None, None, seed=3, **SETTINGS)
 
 
-def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
-    """The predicted chance is the observed share of hits.
-
-    The share is counted over 400 other draws of the prior, from the commands as sent,
-    with a finer sampling.
-    """
+def test_predicted_hit_probability_is_the_observed_share(model, first_motion):
+    """Hits are counted over 400 other draws of the prior, with a finer sampling."""
     values = sample_uncertainty(
         model, None, NONE, 400, np.random.default_rng(99)
     ).values
-    tip = performed(model, blind, values)[:, :, -1]
+    tip = simulate_commands(model, first_motion, values)[:, :, -1]
     found = TARGET.is_crossed_by(tip[:, :-1], tip[:, 1:]).any(axis=1).sum()
-    predicted = blind.outcome.iloc[0]
+    predicted = first_motion.outcome.iloc[0]
     assert 0.1 < predicted["chance"] < 0.95
     spread = np.sqrt(
         predicted["chance"] * (1 - predicted["chance"]) * (1 / 200 + 1 / 400)
@@ -166,16 +153,12 @@ def test_the_chance_predicted_is_the_share_that_is_found(model, blind):
     )
 
 
-def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
-    """A motion is tested on more draws than are simulated together.
-
-    The number suffices to state a chance, and the results of the first draws do not
-    depend on the others.
-    """
+def test_outcomes_do_not_depend_on_batches(model, first_motion):
+    """More draws than fit into one batch leave the results of the first unchanged."""
     many = sample_uncertainty(
         model, None, NONE, BATCH_SIZE + 3, np.random.default_rng(8)
     )
-    place, curves = CastTask(model, TARGET, ()), curves_from_motion(blind)
+    place, curves = CastTask(model, TARGET, ()), curves_from_motion(first_motion)
     every, few = (
         predict_outcome(place, curves, many),
         predict_outcome(place, curves, many.select(slice(3))),
@@ -184,12 +167,10 @@ def test_a_motion_meets_more_draws_than_are_simulated_together(model, blind):
     np.testing.assert_array_equal(every.distance[:, :3], few.distance)
 
 
-def test_two_strings_count_for_more_than_the_better_known_one(model):
-    """Two possible strings count for more than the better known one.
+def test_robust_motion_hits_both_of_two_possible_strings(model):
+    """A soft and a stiff string are equally likely.
 
-    The trials leave a soft and a stiff string, equally likely. A motion made for the
-    soft one alone hits with half a chance at most unless by luck; one that is made for
-    both hits both.
+    Motions for the soft string alone seldom hit the stiff one.
     """
     both = estimate_of(SOFT, STIFF)
     draws = sample_uncertainty(model, both, NONE, 60, np.random.default_rng(5))
@@ -207,58 +188,53 @@ def test_two_strings_count_for_more_than_the_better_known_one(model):
         return predict_outcome(place, curves_from_motion(motion), draws).hit.mean()
 
     robust = [
-        likeliest(model, TARGET, (), None, both, seed=s, **SETTINGS) for s in range(2)
+        generate_robust(model, TARGET, (), None, both, seed=s, **SETTINGS)
+        for s in range(2)
     ]
     plain = [
-        first_come(model, TARGET, (), None, both, seed=s, hits=1, **settings)
+        generate_plain(model, TARGET, (), None, both, seed=s, hits=1, **settings)
         for s in range(4)
     ]
     assert all(chance(motion) == 1.0 for motion in robust)
     assert np.mean([chance(motion) for motion in plain]) < 0.7
 
 
-def test_a_certain_string_is_hit_as_plain_generation_promises(model):
-    motion = likeliest(model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS)
-    tip = performed(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
+def test_known_string_is_hit(model):
+    motion = generate_robust(
+        model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS
+    )
+    tip = simulate_commands(model, motion, model.values(COMMON | SOFT)[None])[0, :, -1]
     assert TARGET.is_crossed_by(tip[:-1], tip[1:]).any()
-    told = motion.outcome.iloc[0]
-    assert told["chance"] == 1.0
-    assert TARGET.distance_to(told["tip_x"], told["tip_y"]) < 0.002
-    assert told["t_hit"] <= told["duration"]
+    outcome = motion.outcome.iloc[0]
+    assert outcome["chance"] == 1.0
+    assert TARGET.distance_to(outcome["tip_x"], outcome["tip_y"]) < 0.002
+    assert outcome["t_hit"] <= outcome["duration"]
 
 
-def test_what_touches_an_obstacle_first_does_not_hit(model):
-    """A string that touches an obstacle first does not hit.
-
-    A wall stands under the target. A separate check confirms that strings said to hit
-    reach the target before they touch the wall.
-    """
+def test_string_that_touches_an_obstacle_first_does_not_hit(model):
+    """Strings predicted to hit reach the target before they touch the wall under it."""
     wall = Box(0.6, 0.35, 0.03, 0.3)
     target = Target(0.75, 0.55, 0.06, 0.06)
-    motion = likeliest(
+    motion = generate_robust(
         model, target, (wall,), None, None, seed=2, **SETTINGS | {"motions": 400}
     )
     draws = sample_uncertainty(model, None, NONE, 60, np.random.default_rng(7))
-    made = predict_outcome(
+    outcome = predict_outcome(
         CastTask(model, target, (wall,)), curves_from_motion(motion), draws
     )
-    points = performed(model, motion, draws.values)
+    points = simulate_commands(model, motion, draws.values)
     touched = wall.is_crossed_by(points[:, :, :-1], points[:, :, 1:]).any(axis=2)
     before = ~np.logical_or.accumulate(touched, axis=1)
     entered = target.is_crossed_by(points[:, :-1, -1], points[:, 1:, -1])
-    assert made.hit.any()
-    assert (entered & before[:, 1:]).any(axis=1)[made.hit[0]].all()
-    assert (made.free_share[0][touched.any(axis=1)] < 1).all()
+    assert outcome.hit.any()
+    assert (entered & before[:, 1:]).any(axis=1)[outcome.hit[0]].all()
+    assert (outcome.free_share[0][touched.any(axis=1)] < 1).all()
     joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     assert not wall.is_crossed_by(joints[:, :-1], joints[:, 1:]).any()
 
 
-def test_what_comes_after_a_touch_does_not_count(model):
-    """What comes after a touch does not count.
-
-    Some strings swing into a wall. A separate check computes how near they came until
-    then.
-    """
+def test_distance_after_a_contact_does_not_count(model):
+    """Some strings swing into a wall and come nearer to the target behind it."""
     wall, free = (
         Box(0.6, 0.35, 0.03, 0.3),
         CastTask(model, Target(0.75, 0.55, 0.06, 0.06), ()),
@@ -279,13 +255,11 @@ def test_what_comes_after_a_touch_does_not_count(model):
     assert (some.closeness[touched] < none.closeness[touched]).all()
 
 
-def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
-    """An arm that touches an obstacle does not hit, even if it touches after the hit.
-
-    A post stands where the hand is at the end, and nowhere near before. The string has
-    hit long before that.
-    """
-    motion = likeliest(model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS)
+def test_arm_contact_after_the_hit_counts_as_a_miss(model):
+    """A post stands where the hand is at the end, long after the hit."""
+    motion = generate_robust(
+        model, TARGET, (), None, estimate_of(SOFT), seed=1, **SETTINGS
+    )
     joints = model.arm.joint_positions(motion.commands[["q1", "q2", "q3"]].to_numpy())
     x, y = joints[-1, -1]
     post = Box(float(x), float(y), 1e-3, 1e-3)
@@ -303,12 +277,14 @@ def test_an_arm_that_touches_something_does_not_hit_even_afterwards(model):
     assert not barred.hit.any()
 
 
-def test_every_limit_of_the_arm_is_kept(model):
+def test_robust_motion_keeps_every_limit_of_the_arm(model):
     slow = replace(
         model,
         arm=replace(model.arm, hand_speed=5.0, acceleration=(120.0, 120.0, 120.0)),
     )
-    motion = likeliest(slow, TARGET, (), None, estimate_of(SOFT), seed=4, **SETTINGS)
+    motion = generate_robust(
+        slow, TARGET, (), None, estimate_of(SOFT), seed=4, **SETTINGS
+    )
     curves = curves_from_motion(motion)
     angles, speeds = curves.sample(0.0005, motion.duration)
     assert (
@@ -318,27 +294,26 @@ def test_every_limit_of_the_arm_is_kept(model):
         np.linalg.norm(slow.arm.grasp_velocity(angles, speeds)[..., :2], axis=-1).max()
         < 5.0 * 1.01
     )
-    # the arm holds a commanded speed for a tick: its acceleration is that of commands
+    # the arm holds a commanded speed for a tick, so the commands give its acceleration
     commanded = motion.commands[list(SPEEDS)].to_numpy()
     accelerations = np.diff(commanded, axis=0, prepend=0.0) / slow.arm.tick
     assert np.abs(accelerations).max() <= 120.0
     assert ((angles >= slow.arm.lowest) & (angles <= slow.arm.highest)).all()
 
 
-def test_a_seed_gives_one_motion_whatever_the_threads(model, blind):
+def test_motion_does_not_depend_on_the_number_of_threads(model, first_motion):
     with other_threads():
-        again = likeliest(model, TARGET, (), None, None, seed=3, **SETTINGS)
-    for table in blind.TABLES:
+        again = generate_robust(model, TARGET, (), None, None, seed=3, **SETTINGS)
+    for table in first_motion.TABLES:
         pd.testing.assert_frame_equal(
-            getattr(blind, table), getattr(again, table), check_exact=True
+            getattr(first_motion, table), getattr(again, table), check_exact=True
         )
 
 
-def test_draws_cover_what_is_known_before_and_after_a_trial(model):
-    """Draws represent what is known.
+def test_samples_follow_the_prior_and_then_the_estimate(model):
+    """Before a trial, samples cover the ranges of all parameters that are not known.
 
-    Before a trial they cover the whole range, except for what is known. After it they
-    are the estimate's draws, with its misfit as uncertainty.
+    Afterwards they are draws of the estimate, with its misfit as uncertainty.
     """
     rng = np.random.default_rng(0)
     names = model.names
@@ -369,8 +344,8 @@ def test_draws_cover_what_is_known_before_and_after_a_trial(model):
     assert after.tip_sigma == 0.003
 
 
-def test_slow_trials_do_not_show_the_whole_error_of_a_cast(model):
-    """A small misfit of slow trials leaves the stated error; a larger one counts."""
+def test_misfit_of_slow_trials_does_not_lower_the_stated_tip_error(model):
+    """The larger of misfit and stated error counts."""
     rng = np.random.default_rng(0)
     for rms, sigma in ((0.003, 0.02), (0.04, 0.04)):
         after = sample_uncertainty(
@@ -384,8 +359,8 @@ def test_slow_trials_do_not_show_the_whole_error_of_a_cast(model):
         assert after.tip_sigma == sigma
 
 
-def test_stratified_samples_cover_every_part_of_each_range(model):
-    """Each of 24 parts of a range holds one sample, and each draw is taken once."""
+def test_each_part_of_a_range_holds_one_stratified_sample(model):
+    """Each of 24 draws of an estimate is likewise taken once."""
     rng = np.random.default_rng(0)
     wide = PlanningUncertainty(0.004, 0.01, 0.02)
     known_samples = (wide, 24, rng, stratified_uniforms)
@@ -400,27 +375,29 @@ def test_stratified_samples_cover_every_part_of_each_range(model):
     assert len(np.unique(after.values, axis=0)) == 24
 
 
-def test_the_way_between_ticks_is_a_cubic():
+def test_tip_path_between_ticks_is_a_cubic():
     t = np.arange(8.0)
-    way = midpoint_tip_path(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
+    path = midpoint_tip_path(np.stack([t**3, 1 - t**2], axis=-1)[None])[0]
     half = np.arange(15) / 2
     np.testing.assert_allclose(
-        way[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12
+        path[2:-2], np.stack([half**3, 1 - half**2], axis=-1)[2:-2], atol=1e-12
     )
 
 
-def test_a_search_without_a_motion_ends_with_the_reason(model, monkeypatch):
+def test_search_that_finds_no_motion_gives_the_reason(model, monkeypatch):
     with pytest.raises(DataError, match="out of reach"):
-        likeliest(
+        generate_robust(
             model, Target(2.0, 0.7, 0.02, 0.04), (), None, None, seed=0, **SETTINGS
         )
     with pytest.raises(DataError, match=r"generate\.shortest"):
-        likeliest(model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0})
+        generate_robust(
+            model, TARGET, (), None, None, seed=0, **SETTINGS | {"shortest": 2.0}
+        )
     monkeypatch.setattr(race, "MAX_BATCHES", 2)
     in_the_way = Box(0.2, 0.2, 0.1, 0.1)
     with pytest.raises(MotionNotFoundError, match="no random motion"):
-        likeliest(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
-    # below the arm, where some strings always hang through it
+        generate_robust(model, TARGET, (in_the_way,), None, None, seed=0, **SETTINGS)
+    # below the arm, where every string hangs through it
     curtain = Box(0.2, 0.0, 3.0, 1e-6)
     down = Curves(
         np.array([[0.0, -np.pi / 2, 0.0]]), np.array([0.3]), np.zeros((1, 3, 6))
@@ -430,34 +407,27 @@ def test_a_search_without_a_motion_ends_with_the_reason(model, monkeypatch):
         build_motion_artifact(CastTask(model, TARGET, (curtain,)), down, draws, 1)
 
 
-def test_a_target_too_small_to_hit_is_cast_at_all_the_same(model):
-    """A target too small to hit is still cast at.
-
-    The cast will teach what the string is like.
-    """
+def test_target_too_small_to_hit_still_gets_a_motion(model):
+    """With a known string the search is repeated."""
     tiny = SETTINGS | {"motions": 60, "cma_iterations": 0, "validation": 10}
     target, more = Target(0.4, 0.7, 1e-7, 1e-7), tiny | {"max_restarts": 2}
     motion, first = (
-        likeliest(model, target, (), None, None, seed=0, **some)
+        generate_robust(model, target, (), None, None, seed=0, **some)
         for some in (tiny, more)
     )
-    again = likeliest(model, target, (), None, estimate_of(SOFT), seed=0, **more)
-    told = motion.outcome.iloc[0]
-    assert (told["chance"], told["chance_low"]) == (0.0, pytest.approx(0.0))
-    assert told["chance_high"] > 0.2
-    assert told["prospects"].startswith("A hit is unlikely (probability 0.00): ")
-    assert first.outcome["tried"].iloc[0] == told["tried"]
-    # with the string known, the search was repeated once more
-    assert again.outcome["tried"].iloc[0] > 1.5 * told["tried"]
-    assert len(motion.commands) == round(told["duration"] / model.arm.tick) + 1
+    again = generate_robust(model, target, (), None, estimate_of(SOFT), seed=0, **more)
+    outcome = motion.outcome.iloc[0]
+    assert (outcome["chance"], outcome["chance_low"]) == (0.0, pytest.approx(0.0))
+    assert outcome["chance_high"] > 0.2
+    assert outcome["prospects"].startswith("A hit is unlikely (probability 0.00): ")
+    assert first.outcome["tried"].iloc[0] == outcome["tried"]
+
+    assert again.outcome["tried"].iloc[0] > 1.5 * outcome["tried"]
+    assert len(motion.commands) == round(outcome["duration"] / model.arm.tick) + 1
 
 
-def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
-    """A swing is informative, and a string that hangs straight down is not.
-
-    Only bending stiffness is unknown, and a string that hangs straight down does not
-    show it.
-    """
+def test_swing_is_more_informative_than_a_string_hanging_at_rest(model):
+    """Only bending stiffness is unknown, which a hanging string does not show."""
     rng = np.random.default_rng(0)
     values = np.repeat(model.values(COMMON | SOFT)[None], 24, axis=0)
     values[:, model.names.index("bending_stiffness")] = np.geomspace(0.5, 2.0, 24)
@@ -476,17 +446,17 @@ def test_a_swing_teaches_and_a_string_that_hangs_straight_down_does_not(model):
     assert swung < 0.2 * hung
 
 
-def test_a_planned_cast_arrives_in_the_direction_that_is_wanted(model, blind):
-    """The planner turns the tip: without the wish it arrives otherwise."""
+def test_planned_cast_arrives_in_the_wanted_direction(model, first_motion):
+    """Without a wanted direction the tip arrives in another one."""
     string = (STIFF,)
     downwards = replace(TARGET, direction=-np.pi / 2, direction_tolerance=0.6)
     values = model.values(COMMON | STIFF)[None]
     shares = {}
     for name, target in (("any", TARGET), ("down", downwards)):
-        motion = likeliest(
+        motion = generate_robust(
             model, target, (), None, estimate_of(*string), seed=3, **SETTINGS
         )
-        tip = performed(model, motion, values)[:, :, -1]
+        tip = simulate_commands(model, motion, values)[:, :, -1]
         entered = downwards.is_entered_along(tip, 0.0007)
         shares[name] = bool(entered.any())
         if name == "down":
@@ -494,28 +464,28 @@ def test_a_planned_cast_arrives_in_the_direction_that_is_wanted(model, blind):
     assert shares == {"any": False, "down": True}
 
 
-def test_a_wish_makes_a_hit_less_likely_and_no_motion_nearer(model, blind):
-    curves = curves_from_motion(blind)
+def test_wanted_arrival_lowers_hits_and_raises_distances(model, first_motion):
+    curves = curves_from_motion(first_motion)
     strings = sample_uncertainty(model, None, NONE, 40, np.random.default_rng(8))
     fast = replace(TARGET, speed=15.0, speed_tolerance=1.0)
-    plain, wished = (
+    plain, with_arrival = (
         predict_outcome(CastTask(model, target, ()), curves, strings)
         for target in (TARGET, fast)
     )
-    assert (wished.hit <= plain.hit).all()
-    assert (wished.distance >= plain.distance).all()
-    assert wished.hit.sum() < plain.hit.sum()
+    assert (with_arrival.hit <= plain.hit).all()
+    assert (with_arrival.distance >= plain.distance).all()
+    assert with_arrival.hit.sum() < plain.hit.sum()
 
 
-def prospects(task, curves, draws):
-    """Find the prospects of the first motion, and describe them as a run does."""
+def describe_first(task, curves, draws):
+    """Find and describe the prospects of the first motion."""
     found = find_prospects(task, curves, 0, draws, draws)
     target = task.target
     row = {"chance": 0.0, "target_x": target.x, "target_y": target.y}
     return found, describe_prospects(pd.Series(row | found))
 
 
-def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
+def test_nearest_box_is_stated_for_an_unreachable_target(model):
     """The stated box is hit, and lies where the tip comes nearest to the target."""
     draws = sample_uncertainty(
         model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
@@ -525,7 +495,7 @@ def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
     tip = simulate_motions(nothing, swing, draws).points[0, :, -1]
     target = Target(float(tip[:, 0].max()) + 0.1, float(tip[-1, 1]), 0.02, 0.04)
     task = replace(nothing, target=target)
-    found, sentence = prospects(task, swing, draws)
+    found, sentence = describe_first(task, swing, draws)
     assert (found["limit"], found["likely_chance"]) == ("arm", 1.0)
     box = replace(target, x=found["likely_x"], y=found["likely_y"])
     assert predict_outcome(replace(task, target=box), swing, draws).hit.all()
@@ -534,8 +504,8 @@ def test_of_a_target_that_no_motion_reaches_the_nearest_box_is_stated(model):
     assert f"{1e3 * distance:.0f} mm away" in sentence
 
 
-def test_motions_are_simulated_once_for_all_that_is_stated(model, monkeypatch):
-    """Reach, obstacles and boxes nearby are judged by one simulation of each motion."""
+def test_prospects_simulate_each_motion_once(model, monkeypatch):
+    """One simulation serves for reach, obstacles and nearby boxes."""
     draws = sample_uncertainty(
         model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
     )
@@ -549,21 +519,21 @@ def test_motions_are_simulated_once_for_all_that_is_stated(model, monkeypatch):
         return simulate_string(self, motion, values, times)
 
     monkeypatch.setattr(Model, "simulate_string", count_strings)
-    found, _ = prospects(task, swings, draws)
+    found, _ = describe_first(task, swings, draws)
     assert found == {"limit": "arm"}
     assert sum(counts) == 2 * 4
 
 
-def test_what_makes_a_hit_unlikely_is_stated(model):
-    """A motion hits one of two strings, another the other; both touch a wall.
+def test_reason_of_an_unlikely_hit_is_stated(model):
+    """Each of two motions hits only one of two strings; then both touch a wall.
 
-    Of a sure hit nothing is said.
+    A sure hit has no prospects.
     """
     two = estimate_of(SOFT, STIFF)
     draws = sample_uncertainty(model, two, NONE, 8, np.random.default_rng(0))
     quick = SETTINGS | {"motions": 100, "string_samples": 4, "validation": 20}
     motions = [
-        likeliest(model, TARGET, (), None, estimate_of(string), seed=1, **quick)
+        generate_robust(model, TARGET, (), None, estimate_of(string), seed=1, **quick)
         for string in (STIFF, SOFT)
     ]
     for sure in motions:
@@ -574,19 +544,19 @@ def test_what_makes_a_hit_unlikely_is_stated(model):
     hits = predict_outcome(task, curves, draws).hit
     assert hits.any(axis=0).all()
     assert not hits[0].all()
-    found, sentence = prospects(task, curves, draws)
+    found, sentence = describe_first(task, curves, draws)
     assert found["limit"] == "uncertainty"
     assert found["taught_sd"] <= found["tip_sd"]
     assert "by different motions" in sentence
 
     around = Box(TARGET.x, TARGET.y, 4 * TARGET.w, 4 * TARGET.h)
-    found, sentence = prospects(replace(task, obstacles=(around,)), curves, draws)
+    found, sentence = describe_first(replace(task, obstacles=(around,)), curves, draws)
     assert found["limit"] == "obstacle"
     assert "obstacle" in sentence
 
 
-def test_that_a_motion_hits_only_with_another_arrival_is_stated(model):
-    """The tip of a hanging string never arrives at 100 m/s."""
+def test_wanted_arrival_is_stated_as_the_reason_of_a_miss(model):
+    """The tip never arrives at 100 m/s."""
     draws = sample_uncertainty(
         model, estimate_of(SOFT), NONE, 4, np.random.default_rng(0)
     )
@@ -596,18 +566,16 @@ def test_that_a_motion_hits_only_with_another_arrival_is_stated(model):
     target = Target(float(x), float(y), 0.02, 0.04)
     assert predict_outcome(replace(anywhere, target=target), swing, draws).hit.all()
     fast = replace(target, speed=100.0, speed_tolerance=1.0)
-    found, sentence = prospects(replace(anywhere, target=fast), swing, draws)
+    found, sentence = describe_first(replace(anywhere, target=fast), swing, draws)
     assert found["limit"] == "arrival"
     assert "not in the wanted direction or at the wanted speed" in sentence
     far = replace(fast, x=-2.0)
-    found, _ = prospects(replace(anywhere, target=far), swing, draws)
+    found, _ = describe_first(replace(anywhere, target=far), swing, draws)
     assert found["limit"] == "arm"
 
 
-def test_the_refinement_drops_the_worse_half_of_its_searches_in_turn(
-    model, monkeypatch
-):
-    """The most is spent on the best start, and no start becomes worse."""
+def test_refinement_drops_the_worse_half_of_its_searches(model, monkeypatch):
+    """Most simulations go to the best start, and no start becomes worse."""
     task = CastTask(model, TARGET, ())
     draws = sample_uncertainty(model, None, NONE, 4, np.random.default_rng(0))
     space = refine.MotionSpace(model.arm, 0.2, 0.8, 150.0)
