@@ -1,4 +1,4 @@
-"""Execute: perform a motion with an arm and film it, or make a dry run of it."""
+"""Execute: perform a motion with an arm and film it, or make a dry run."""
 
 from stringcast.data.artifacts import Motion, Trial
 from stringcast.stages.spec import SameIteration, StageSpec

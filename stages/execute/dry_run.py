@@ -1,4 +1,4 @@
-"""Dry runs of a cast, with the arm disabled or slow, which give invalid trials."""
+"""Dry runs of a cast with the arm disabled or slow; their trials are marked invalid."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def dry_run(
 ) -> Trial:
     """Make a dry run with the arm disabled.
 
-    The link is tested, the motion is checked, zero velocity is sent on its schedule,
-    and the arm is filmed.
+    Tests the link, checks the motion, sends zero velocities at its ticks, and films the
+    arm.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def slow_run(
     before, after : float
         Rest filmed before and after the movement [s].
     share : float
-        Share of the speed.
+        Speed as a share of the planned one.
 
     Returns
     -------
@@ -107,7 +107,7 @@ def slow_run(
 
 
 def slow_commands(commands: pd.DataFrame, share: float) -> pd.DataFrame:
-    """Slow commands (table COMMANDS) down to a share of their speed, on the same tick.
+    """Slow commands (table COMMANDS) down to a share of their speed, with the same tick.
 
     Accelerations fall by `share` at least.
     """

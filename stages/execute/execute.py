@@ -13,11 +13,11 @@ from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError
 from stringcast.stages.spec import StageCall
 
-ROUNDING_S = 1e-9  # by which times of frames may be off
+ROUNDING_S = 1e-9  # rounding error of frame times
 
 
 def run(call: StageCall, motion: Motion) -> Trial:
-    """Perform and film a motion in the configured lab, as a stage."""
+    """Perform and film a motion in the configured lab."""
     lab = call.setup.lab(call.number)
     trial: Trial = call.by(motion, lab.arm, lab.camera)
     return trial
@@ -33,7 +33,7 @@ def execute(
 ) -> Trial:
     """Perform a motion and record the trial.
 
-    Devices are opened here and always left stopped.
+    Opens the devices, and always stops them.
 
     Parameters
     ----------
@@ -64,9 +64,9 @@ def execute(
 def film_motion(
     commands: pd.DataFrame, arm: ArmDevice, camera: CameraDevice, end: float
 ) -> Trial:
-    """Move to the start of commands and perform them on film, with open devices.
+    """Move to the start of the commands, perform and film them, with open devices.
 
-    end: time of the last frame [s]. Raises HardwareError where no frame came.
+    end: time of the last frame [s]. Raises HardwareError if there is no frame.
     """
     begin = float(commands["t"].iloc[0])
     arm.move_to(commands[list(JOINTS)].iloc[0].tolist())
@@ -93,14 +93,14 @@ def film_motion(
 
 
 def mark_invalid(trial: Trial, reason: str) -> Trial:
-    """Mark a trial, so that no later stage learns from it."""
+    """Mark a trial as invalid, so that no later stage uses it."""
     earlier = str(trial.link["reason"].iloc[0])
     reasons = f"{reason}; {earlier}" if earlier else reason
     return replace(trial, link=trial.link.assign(valid=False, reason=reasons))
 
 
 def pad_commands(commands: pd.DataFrame, before: float, after: float) -> pd.DataFrame:
-    """Add rest [s] before and after commands, on the same tick.
+    """Add rest [s] before and after commands, with the same tick.
 
     The movement still starts at t = 0.
     """

@@ -1,8 +1,7 @@
-"""The device interfaces of a lab: an arm that follows velocities, and a camera.
+"""Interfaces of the devices in a lab: an arm that follows velocities, and a camera.
 
-`stages.execute` knows these and nothing else of the hardware. A device that cannot do
-what it is told raises `HardwareError` with the device, the fault and the remedy, and
-does so before anything moves wherever possible.
+`stages.execute` uses the hardware only through them. A device that cannot execute a
+command raises `HardwareError`, if possible before anything moves.
 """
 
 from __future__ import annotations
@@ -46,9 +45,9 @@ class Performance:
 
 @dataclass(frozen=True)
 class Recording:
-    """The frames of one motion by a camera.
+    """The frames of one motion.
 
-    A camera that can be late or lose frames reports it in `counts` and `summary`.
+    Late and lost frames are reported in `counts` and `summary`.
 
     Parameters
     ----------
@@ -57,11 +56,11 @@ class Recording:
     images : sequence of F uint8 arrays (height, width)
         The frames.
     counts : pandas.DataFrame
-        Optional columns of table FRAMES, a row for each frame.
+        Optional columns of table FRAMES, with a row for each frame.
     summary : mapping
-        Optional columns of table LINK, about all frames.
+        Optional columns of table LINK, for all frames together.
     fault : str
-        Reason for which the recording cannot be trusted; empty if it can.
+        Reason why the recording is invalid; empty if it is valid.
     """
 
     t: np.ndarray
@@ -132,7 +131,7 @@ class ArmDevice(Protocol):
         """
 
     def perform(self, commands: pd.DataFrame) -> Performance:
-        """Perform commands tick by tick; the arm rests at the end.
+        """Perform commands tick by tick; afterwards the arm rests.
 
         Parameters
         ----------
@@ -169,7 +168,7 @@ class CameraDevice(Protocol):
         """Close the camera."""
 
     def start(self) -> None:
-        """Start filming with this camera.
+        """Start filming.
 
         Raises
         ------
@@ -188,7 +187,7 @@ class CameraDevice(Protocol):
         Returns
         -------
         Recording
-            Frames on the movement's time.
+            Frames with times from the start of the movement.
 
         Raises
         ------

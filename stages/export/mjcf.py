@@ -1,10 +1,10 @@
 """Export of a string to MuJoCo.
 
 Links are connected by hinges with springs and dampers, and carry a mass point at their
-end. A slide along each link lets it stretch, unless the string is so stiff that its
-stretch is invisible and MuJoCo would need tiny steps. MuJoCo's ellipsoid
-model of a sphere gives the drag of each point: its viscous force 6 pi eta r v is the
-linear drag, and its blunt drag rho C pi r^2 |v| v is the quadratic one.
+end. A slide along each link lets it stretch, except for stiff strings, whose stretch is
+negligible and for which MuJoCo would need tiny steps. A sphere in MuJoCo's ellipsoid
+fluid model gives the drag of each point: its viscous force 6 pi eta r v is the linear
+drag, and its blunt drag rho C pi r^2 |v| v is the quadratic one.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ EXPORTED_ARGUMENTS = {
     "hidden_length",
     "grasp_offset",
 }
-# of the air: spheres of the drag's size then carry hardly any air along
+# a fluid in which spheres with the drag of the string have hardly any added mass
 VISCOSITY_PA_S, DENSITY_KG_M3 = 0.1, 1.0
-CARRIAGE_JOINTS = 3  # x, y and angle of the hand come first
+CARRIAGE_JOINTS = 3  # the first joints: x, y and angle of the hand
 GYRATION_RADIUS = 1e-3  # of a mass point, in segments
 # pose of a grasp from which the string hangs straight
 HANGING_POSE = np.array([[0.0, 0.0, -np.pi / 2]])
-# times the string's mass: the string does not move such a hand
+# mass of the hand over that of the string; such a hand is not moved by the string
 CARRIAGE_MASS_RATIO = 1e6
 
-# MuJoCo's springs are explicit: a step takes at most this share of the fastest one's
-# period over 2 pi
+# largest step over the fastest spring's period divided by 2 pi; MuJoCo integrates
+# springs explicitly
 STEP_SHARE = 0.5
 MAX_STEP_S = 5e-4
-MIN_STEP_S = 2e-5  # that links which stretch may need; stiffer ones do not stretch
+MIN_STEP_S = 2e-5  # links that need smaller steps do not stretch
 
 DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
   <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x \
 to the right, y up.
-       {stretching} Hung up at rest, the string is {stretch:.2f} mm longer.{omitted}
+       {stretching} At rest the string's weight stretches it by {stretch:.2f} mm.{omitted}
        Keyframe "rest": the string at rest in the hand.
-       The hand is a carriage; to hang the string in a gripper of yours, take body \
-link_1 with all that is in it. -->
+       The hand is a carriage; to attach the string to your own gripper, copy body \
+link_1 with its children. -->
   <compiler angle="radian"/>
   <option timestep="{step:g}" integrator="implicitfast" gravity="{gx:.9g} {gy:.9g} 0" \
 wind="{wx:.9g} {wy:.9g} 0" \
@@ -126,13 +126,13 @@ def largest_step(model: Model, values: np.ndarray) -> float:
     parameters = dict(zip(string.row_names, material[0], strict=False))
     length = float(string.free_segment_lengths(material)[0])
     lightest = float(string.point_masses(material)[0][0, 1:].min())
-    # of neighbouring points that move against each other
+    # neighbouring points that move against each other [rad/s]
     fastest = 2 * np.sqrt(parameters["axial_stiffness"] / (lightest * length))
     return float(STEP_SHARE / fastest)
 
 
 def choose_step(model: Model, values: np.ndarray) -> float:
-    """Return the time step [s] that suits a string in MuJoCo."""
+    """Choose the time step [s] of a string in MuJoCo."""
     largest = largest_step(model, values)
     if largest < MIN_STEP_S:
         return MAX_STEP_S
@@ -149,22 +149,22 @@ def build_mjcf(
 ) -> str:
     """Return the string of a model as an MJCF document.
 
-    Effects on hand, clocks and camera are no part of a string and are left out.
+    Effects on hand, clocks and camera are left out.
 
     Parameters
     ----------
     model
         The model.
     values
-        Its parameters (P,).
+        Parameters of the model, (P,).
     mass
         Mass of the string [kg], which motion alone does not determine.
     step
         Time step [s].
     pose
-        Of the hand in the keyframe, (3,): x [m], y [m], theta [rad].
+        Pose of the hand in the keyframe, (3,): x [m], y [m], theta [rad].
     turn
-        On which side of the hand the string rests, as of `hanging_shape`.
+        Side of the hand on which the string rests, as in `hanging_shape`.
 
     Returns
     -------
@@ -217,15 +217,15 @@ def build_mjcf(
 
 
 def _describe_omitted(model: Model) -> str:
-    """Name the effects that are no part of a string; empty if there are none."""
+    """Name the effects that do not act on the string; empty if there are none."""
     names = [e.name for e in model.effects if not issubclass(e, StringEffect)]
     if not names:
         return ""
-    return f" Left out, for no part of the string: {', '.join(names)}."
+    return f" Left out, because not acting on the string: {', '.join(names)}."
 
 
 def _refuse_unknown_laws(model: Model) -> None:
-    """Raise DataError for an effect on the string for which MuJoCo has no law."""
+    """Raise DataError if MuJoCo has no law for an effect on the string."""
     for effect in model.string.effects:
         if effect in PAPER_EFFECTS:
             continue
@@ -240,7 +240,7 @@ def _refuse_unknown_laws(model: Model) -> None:
 def _chain_text(
     model: Model, material: np.ndarray, mass_per_length: float, stretches: bool
 ) -> str:
-    """Return the bodies of the links, each in that before it."""
+    """Return the bodies of the links, each nested in the one before."""
     start, end = "", ""
     for number, link in enumerate(_link_rows(model, material, mass_per_length)):
         pad = "  " * (3 + number)
@@ -256,7 +256,7 @@ def _link_rows(
 ) -> list[dict[str, Any]]:
     """Return the properties of each link from the grasp to the tip.
 
-    Parameters of the model are per mass; `mass_per_length` [kg/m] converts them.
+    The model's parameters are divided by mass; `mass_per_length` [kg/m] converts them.
     """
     string = model.string
     parameters = dict(zip(string.row_names, map(float, material[0]), strict=False))
@@ -265,10 +265,10 @@ def _link_rows(
     masses = point_masses[0, 1:] * mass_per_length
     cell_masses = cell_lengths[0, 1:] * mass_per_length
 
-    # a sphere's drag: Stokes' law gives its radius from the linear part, and both parts
-    # give the coefficient of blunt drag
+    # drag of a sphere: Stokes' law gives its radius from the linear drag; radius and
+    # quadratic drag give the coefficient of blunt drag
     radius = cell_masses * parameters["linear_drag"] / (6 * np.pi * VISCOSITY_PA_S)
-    disc = DENSITY_KG_M3 * np.pi * radius**2  # of air, [kg/m]
+    disc = DENSITY_KG_M3 * np.pi * radius**2  # [kg/m]
     blunt = cell_masses * parameters["quadratic_drag"] / disc
     clamp = _clamp_row(string, material, parameters)
     bends = _rest_curvatures(string, material) * length
@@ -305,9 +305,9 @@ def _link_rows(
 def _clamp_row(
     string: String, material: np.ndarray, parameters: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the hinge of the first link: its clamp in the hand, per mass a length.
+    """Return the hinge of the first link, its clamp in the hand, per mass per length.
 
-    start, across: place along and across the hand [m]. rest: angle [rad].
+    start, across: position along and across the hand [m]. rest: angle [rad].
     """
     offset = np.zeros(2)
     for law_offset in string.law_values("grasp_offset", material, {}):

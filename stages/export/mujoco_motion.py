@@ -1,4 +1,4 @@
-"""The motion of an exported string in MuJoCo, to compare it with measured points."""
+"""Simulate an exported string in MuJoCo, to compare it with measured points."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ mujoco = LazyModule("mujoco")
 def simulate_chain(document: str, hand: HandMotion, times: np.ndarray) -> np.ndarray:
     """Simulate an exported string along a motion of the hand.
 
-    The string begins at rest, in the pose of the document's keyframe for the first
-    pose of the hand. The carriage is set on its pose before each step: MuJoCo is given
-    where the hand is, not what pushes it.
+    The string starts at rest, in the pose of the document's keyframe. Before each step
+    the hand is set to its prescribed pose.
 
     Parameters
     ----------
     document : str
-        From `build_mjcf`, for this motion's first pose.
+        Document of `build_mjcf` for the first pose of the hand.
     hand : HandMotion
-        Actual motion of the hand, one.
+        Actual motion of the hand; a single one.
     times : ndarray of shape (F,)
         Ascending times [s].
 
@@ -43,10 +42,10 @@ def simulate_chain(document: str, hand: HandMotion, times: np.ndarray) -> np.nda
     count = int(np.ceil((times[-1] - begin) / step)) + 2
     moments = begin + step * np.arange(count)
 
-    # MuJoCo's velocities are those of half a step before, and its next pose follows
-    # from them: so the carriage arrives there
+    # MuJoCo's velocities lie half a step before its poses; these bring the hand to its
+    # next pose
     spline = CubicHermiteSpline(hand.times, hand.pose[0], hand.rate[0])
-    around = begin + step * np.arange(-1, count + 1)  # a step more on either side
+    around = begin + step * np.arange(-1, count + 1)  # one more step at either end
     poses = spline(np.clip(around, hand.start, hand.end))
     rates = np.diff(poses, axis=0) / step
     accelerations = np.diff(rates, axis=0) / step
@@ -66,7 +65,7 @@ def simulate_chain(document: str, hand: HandMotion, times: np.ndarray) -> np.nda
 
 
 def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
-    """Return the distance of simulated from measured outermost points [m].
+    """Return distances between simulated and measured outermost points [m].
 
     Parameters
     ----------
@@ -78,7 +77,7 @@ def tip_distances(trial: PreparedTrial, points: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray of shape (F,)
-        NaN in frames in which the tip is not seen.
+        NaN in frames that do not show the tip.
     """
     arc_lengths = trial.model.string.arc_lengths()
     is_outermost = trial.s >= trial.s.max() - arc_lengths[1] / 2

@@ -19,14 +19,14 @@ def log_likelihoods(
 ) -> np.ndarray:
     """Return the log-likelihood of each draw in each trial, (N, K).
 
-    Errors of the points are independent normal ones of the stated sigma.
+    Errors of the points are independent and normal, with the stated sigma.
 
     Parameters
     ----------
     model
-        The model that was estimated.
+        The estimated model.
     trials
-        Trials it was estimated from.
+        Trials used for the estimate.
     draws
         A row for each draw, with a column for each parameter of the model.
     """

@@ -57,7 +57,7 @@ def joint_trajectory(
     Returns
     -------
     dict
-        Its header has no time: the motion begins when the controller takes it.
+        Fields of the message. Without a time stamp, the motion starts on receipt.
     """
     begin = commands["t"].iloc[0]
     points = []
@@ -77,7 +77,7 @@ def joint_trajectory(
 
 
 def trajectory_json(trajectory: dict[str, Any]) -> str:
-    """Return a trajectory as JSON, as `ros2 topic pub` takes it."""
+    """Return a trajectory as JSON for `ros2 topic pub`."""
     return json.dumps(trajectory, indent=1) + "\n"
 
 

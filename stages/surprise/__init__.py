@@ -1,4 +1,4 @@
-"""The surprise as a stage: whether a trial is within what was predicted."""
+"""Surprise: test whether a trial agrees with its prediction."""
 
 from stringcast.data.artifacts import Motion, Points, Trial
 from stringcast.data.estimates import Estimate
@@ -13,7 +13,7 @@ from stringcast.stages.spec import (
 
 
 def summary(surprise: Surprise) -> StageSummary:
-    """State in words and numbers whether the trial is a surprise."""
+    """Summarise whether the trial is a surprise."""
     return StageSummary("surprise", surprise.sentence, surprise.surprise)
 
 

@@ -1,8 +1,7 @@
-"""Predictions of the tip in a trial, from what was known before it.
+"""Predict the tip in a trial from the estimate before it.
 
-The hand moves as the joints report. An arm that does not follow its commands is no
-fault of the string's model, and a test that allows for all that an arm may do notices
-little else.
+The hand moves as the joints report, so that an arm that does not follow its commands is
+no surprise. If the hand were uncertain, the test would detect little.
 """
 
 from __future__ import annotations
@@ -24,9 +23,9 @@ from stringcast.stages.inference.mesh import (
 )
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 
-# Of the tip, one sigma of a coordinate: errors that last, of films and of strings that
-# the mesh does not resolve, are taken for parameters, which then err by more than their
-# draws. Measured: see stages/explain/README.md
+# Error of the tip, one sigma of a coordinate: time-correlated errors of film and mesh
+# bias the parameters by more than their posterior spread. Measured: see
+# stages/explain/README.md
 SLOW_ERROR_M = 1e-3
 
 
@@ -39,18 +38,18 @@ def predict_tips(
 ) -> np.ndarray:
     """Predict the tip at a trial's frames under draws of an estimate, (K, F, 2) [m].
 
-    Draws whose simulation diverges are left out.
+    Draws whose simulation diverges are omitted.
 
     Parameters
     ----------
     trial : PreparedTrial
-        The trial, of which only the motion of the joints is used.
+        The trial; only the motion of its joints is used.
     motion : Motion
-        What was planned.
+        The planned motion.
     last_motion : Motion or None
         The cast before.
     estimate : Estimate
-        Of the trials before.
+        The estimate from earlier trials.
     rng : numpy.random.Generator
         Source of randomness.
     """
@@ -64,7 +63,8 @@ def predict_tips(
     mesh_error, uncertain_error = _extrapolate_mesh_error(trial, best)
     if estimate.mesh_error_m > 0:
         tips -= mesh_error
-    else:  # parameters take up an unknown part of the mesh's error
+    else:
+        # the parameters compensate an unknown part of the mesh error
         uncertain_error = mesh_error
     tips += rng.standard_normal((len(tips), 1, 1)) * uncertain_error
     for coordinate in range(2):
@@ -72,10 +72,11 @@ def predict_tips(
         tips[..., coordinate] += SLOW_ERROR_M * slow_noise
 
     misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
-    if misfit is not None:  # the error of the mesh is not among it here
+    if misfit is not None:
+        # remove the mesh error from the misfit
         last_error = estimate.misfit[["mesh_x", "mesh_y"]].to_numpy()
         misfit = replace(misfit, tip=misfit.tip + last_error)
-    # what the estimate left, less the noise of the points
+    # variance of the residual without the noise of the points
     noise = np.median(trial.sigma)
     variance = max(estimate.model_error_m**2 / 2 - noise**2, 0.0)
     normal = rng.standard_normal((len(tips), 2))
@@ -84,10 +85,10 @@ def predict_tips(
     ticks = np.round(trial.times / model.arm.tick).astype(int)
     tips += errors[:, np.clip(ticks, 0, errors.shape[1] - 1)]
 
-    # the last misfit was measured, with noise
+    # the last misfit contains measurement noise
     if misfit is not None:
-        likeness = misfit.correlation(curves, float(curves.duration.max()))[0]
-        sigma = noise * likeness[np.clip(ticks, 0, len(likeness) - 1)]
+        correlation = misfit.correlation(curves, float(curves.duration.max()))[0]
+        sigma = noise * correlation[np.clip(ticks, 0, len(correlation) - 1)]
         tips += sigma[:, None] * rng.standard_normal(tips.shape)
     return np.asarray(tips)
 
@@ -95,9 +96,9 @@ def predict_tips(
 def draw_slow_noise(
     rng: np.random.Generator, count: int, times: np.ndarray
 ) -> np.ndarray:
-    """Draw normal noise at times (F,) [s] that forgets within a block, (count, F).
+    """Draw normal noise of variance 1 at times (F,) [s], (count, F).
 
-    Its variance is 1. What a model misses is alike within a block of time
+    Its correlation decays over a block of time, like model error
     (`stages.estimate.posterior`).
     """
     noise = rng.standard_normal((count, len(times)))
@@ -111,10 +112,9 @@ def draw_slow_noise(
 def _extrapolate_mesh_error(
     trial: PreparedTrial, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Extrapolate the tip's error by the mesh at values (1, P), (1, F, 2) [m].
+    """Extrapolate the mesh error of the tip at values (1, P), (1, F, 2) [m].
 
-    Returns also by how much two meshes extrapolate it otherwise. Both are 0 where a
-    simulation diverges.
+    Also returns its uncertainty. Both are 0 where a simulation diverges.
     """
     tips = []
     for factor in EXTRAPOLATED_MESHES:

@@ -1,14 +1,14 @@
-"""Test of a trial against what the estimate before it predicts.
+"""Test a trial against the prediction of the estimate before it.
 
-The measured path of the tip and those predicted by draws of the posterior are compared
-as one set. If the trial comes from the model, the measured path is one more draw, and
-each rank of its distance is equally likely: the p-value is exact, whatever the distance
-(a Monte Carlo test; Besag and Clifford, Biometrika 78, 301, 1991).
+The measured path of the tip and those predicted by draws of the posterior form one set.
+If the trial comes from the model, the measured path is one more draw, and each rank of
+its distance is equally likely. The p-value is then exact for any distance measure (a
+Monte Carlo test; Besag and Clifford, Biometrika 78, 301, 1991).
 
-The distance is that from the paths most alike. Frames of a path are not independent, so
-a path that strays a little from what the parameters can do is noticed, also where they
-can do much. The test ends when the tip should hit: what follows decides nothing, and
-small differences grow there until neither draws nor mesh follow the string.
+The distance is measured from the most similar paths, with their covariance. It detects
+a small deviation that no parameters produce, even if the predictions spread widely. The
+test ends at the planned hit: later frames are irrelevant, and small differences grow
+there beyond what draws and mesh resolve.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from stringcast.stages.spec import StageCall
 from stringcast.stages.surprise.prediction import predict_tips
 
 ALARM_P_VALUE = 0.02  # share of false alarms
-NEIGHBOURS = 50  # paths most alike: several times as many as there are parameters
-MIN_DRAWS = 2 * NEIGHBOURS  # fewer have no neighbours of their own
-MIN_FRAMES = 5  # fewer readings of the tip show nothing
-MIN_SIGMA_M = 5e-4  # of a coordinate: rounding is no surprise
+NEIGHBOURS = 50  # most similar paths; several times the number of parameters
+MIN_DRAWS = 2 * NEIGHBOURS  # fewer draws would all share their neighbours
+MIN_FRAMES = 5  # fewer readings of the tip are too few to test
+MIN_SIGMA_M = 5e-4  # least noise of a coordinate, above rounding
 
 
 def run(
@@ -42,9 +42,9 @@ def run(
     last_motion: Motion | None,
     estimate: Estimate | None,
 ) -> Surprise:
-    """Test the trial of an iteration against what was known before it, as a stage."""
+    """Test the trial of an iteration against the estimate before it."""
     if not motion.is_cast or estimate is None or estimate.draws.empty:
-        return describe_missing_test("Nothing was known of the string before.")
+        return describe_missing_test("There was no estimate of the string before.")
     readings = points.readings
     is_before_hit = readings["t"].between(0, motion.outcome["t_hit"].iloc[0])
     read = readings[readings["valid"].astype(bool) & is_before_hit]
@@ -71,18 +71,18 @@ def measure_surprise(
     sigma: np.ndarray,
     rng: np.random.Generator,
 ) -> Surprise:
-    """Test whether the measured tip is within what draws predict.
+    """Test whether the measured tip agrees with the predictions.
 
     Parameters
     ----------
     predicted : (K, F, 2) array
-        Tips that draws predict [m].
+        Predicted tips, one path per draw [m].
     measured : (F, 2) array
-        Tips that were read [m].
+        Measured tips [m].
     sigma : (F,) array
         Noise of a measured coordinate [m].
     rng : numpy.random.Generator
-        Of the noise that predictions of measurements have.
+        Source of the measurement noise that is added to predictions.
 
     Returns
     -------
@@ -95,15 +95,15 @@ def measure_surprise(
     noise = rng.standard_normal(predicted.shape) * sigma[:, None]
     paths = np.concatenate([measured[None], predicted + noise])
     distances = distances_from_neighbours(paths, sigma)
-    as_far = int((distances[1:] >= distances[0]).sum())
-    p_value = (1 + as_far) / (1 + draws)
-    apart_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
+    at_least_as_far = int((distances[1:] >= distances[0]).sum())
+    p_value = (1 + at_least_as_far) / (1 + draws)
+    distance_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
     is_surprising = p_value <= ALARM_P_VALUE
     conclusion = "a surprise" if is_surprising else "no surprise"
     sentence = (
-        f"Until the planned hit, the tip was up to {MM_PER_M * apart_m.max():.0f} mm "
+        f"Until the planned hit, the tip was up to {MM_PER_M * distance_m.max():.0f} mm "
         f"from its predicted path. Of {draws} paths simulated with possible strings, "
-        f"{as_far} are as unusual: the trial is {conclusion} (p = {p_value:.2g})."
+        f"{at_least_as_far} are as unusual: the trial is {conclusion} (p = {p_value:.2g})."
     )
     return _describe(
         draws, len(measured), sentence, float(distances[0]), p_value, is_surprising
@@ -116,18 +116,18 @@ def describe_missing_test(reason: str) -> Surprise:
 
 
 def distances_from_neighbours(paths: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Measure how far each of K paths (K, F, 2) lies from those most alike, (K,).
+    """Measure how far each of K paths (K, F, 2) lies from the most similar ones, (K,).
 
     This is the Mahalanobis distance from the nearest NEIGHBOURS, with their covariance
-    and that of noise (F,) [m]; 1 per coordinate for noise alone. It is small along what
-    the neighbours do differently. All paths are treated alike, so none is special.
+    plus that of the noise sigma (F,) [m]; noise alone gives 1 per coordinate. All paths
+    are treated alike.
     """
     scaled = paths / np.maximum(sigma, MIN_SIGMA_M)[:, None]
     scaled = scaled.reshape(len(paths), -1)  # (K, 2 F)
     squares = np.sum(scaled**2, axis=1)
-    apart = squares[:, None] + squares - 2 * scaled @ scaled.T
-    np.fill_diagonal(apart, np.inf)
-    nearest = np.argpartition(apart, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
+    square_distances = squares[:, None] + squares - 2 * scaled @ scaled.T
+    np.fill_diagonal(square_distances, np.inf)
+    nearest = np.argpartition(square_distances, NEIGHBOURS - 1, axis=1)[:, :NEIGHBOURS]
 
     distances = np.empty(len(paths))
     for number, path in enumerate(scaled):

@@ -1,4 +1,4 @@
-"""The test of a trial against its predictions: calibrated, and it sees what matters."""
+"""The surprise test is calibrated, and detects missing effects."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -49,8 +49,8 @@ def tip_paths(rng, count):
     return shape * (1 + delay * share[:, None]) + amount * share[:, None] ** 2
 
 
-def surprises(offset_m, trials):
-    """Return the surprises of trials whose tip is off at the end by an offset [m]."""
+def sample_surprises(offset_m, trials):
+    """Test trials whose tip has an offset [m] at the end."""
     rng = np.random.default_rng(0)
     predicted = tip_paths(rng, DRAWS)
     offset = offset_m * (FRAME_TIMES / DURATION_S)[:, None] * [1.0, 0.0]
@@ -61,21 +61,21 @@ def surprises(offset_m, trials):
     return found
 
 
-def test_p_values_of_trials_of_the_posterior_are_spread_evenly():
+def test_p_values_are_uniform_for_trials_drawn_from_the_posterior():
     trials = 200
-    found = surprises(0.0, trials)
+    found = sample_surprises(0.0, trials)
     assert np.mean([s.p_value <= 0.5 for s in found]) == pytest.approx(0.5, abs=0.15)
     expected = ALARM_P_VALUE * trials
     alarms = sum(surprise.is_surprising for surprise in found)
     assert alarms <= expected + 3 * np.sqrt(expected)
 
 
-def test_a_tip_that_is_off_by_more_than_the_box_is_a_surprise():
-    assert sum(surprise.is_surprising for surprise in surprises(0.02, 40)) >= 38
+def test_tip_error_of_20_mm_is_a_surprise():
+    assert sum(surprise.is_surprising for surprise in sample_surprises(0.02, 40)) >= 38
 
 
 def circular_paths(rng, count, length_m=0.3):
-    """Return paths (count, F, 2) [m] of a tip that turns by an unknown angle."""
+    """Return paths (count, F, 2) [m] of a tip that rotates by a random angle."""
     turn = rng.uniform(-1, 1, (count, 1)) * FRAME_TIMES / DURATION_S
     return length_m * np.stack([np.sin(turn), np.cos(turn)], axis=-1)
 
@@ -86,7 +86,7 @@ def is_surprising(predicted, path, rng):
     return measure_surprise(predicted, measured, SIGMA_M, rng).is_surprising
 
 
-def test_a_tip_off_what_parameters_can_do_is_a_surprise_where_they_can_do_much():
+def test_small_error_that_no_parameter_explains_is_a_surprise():
     rng = np.random.default_rng(1)
     predicted = circular_paths(rng, 4 * NEIGHBOURS)
     found = [is_surprising(predicted, path, rng) for path in circular_paths(rng, 20)]
@@ -95,7 +95,7 @@ def test_a_tip_off_what_parameters_can_do_is_a_surprise_where_they_can_do_much()
     assert all(is_surprising(predicted, path, rng) for path in longer)
 
 
-def test_all_paths_are_treated_alike():
+def test_distances_do_not_depend_on_the_order_of_paths():
     rng = np.random.default_rng(2)
     paths = rng.normal(0, 5e-3, (DRAWS + 1, *tip_paths(rng, 1).shape[1:]))
     order = rng.permutation(len(paths))
@@ -104,7 +104,7 @@ def test_all_paths_are_treated_alike():
     assert permuted == pytest.approx(distances[order])
 
 
-def test_a_distance_is_that_of_mahalanobis():
+def test_distance_is_that_of_mahalanobis():
     rng = np.random.default_rng(3)
     neighbours = tip_paths(rng, NEIGHBOURS)
     path = tip_paths(rng, 1)[0] + 0.01
@@ -117,14 +117,14 @@ def test_a_distance_is_that_of_mahalanobis():
     assert distance == pytest.approx(np.sqrt(square))
 
 
-def test_slow_noise_forgets_within_a_block():
+def test_correlation_of_slow_noise_decays_exponentially():
     noise = draw_slow_noise(np.random.default_rng(4), 20_000, FRAME_TIMES)
     lag = np.abs(FRAME_TIMES[:, None] - FRAME_TIMES)
     assert np.cov(noise.T) == pytest.approx(np.exp(-lag / BLOCK_S), abs=0.04)
 
 
 def joint_angles(motion, late_s=0.0, gain=1.0):
-    """Return the joint angles of an arm that is late and turns too far."""
+    """Return joint angles with a delay and a gain."""
     t = motion.commands["t"].to_numpy()
     columns = {"t": t}
     for joint in JOINTS:
@@ -135,7 +135,7 @@ def joint_angles(motion, late_s=0.0, gain=1.0):
 
 
 def read_tip(model, arm, rng):
-    """Return what is read of a string whose hand moves with these joint angles."""
+    """Return readings of a string whose hand moves with these joint angles."""
     motion = resample_joint_motion(arm["t"].to_numpy(), arm[list(JOINTS)].to_numpy())
     values = model.values({})[None]
     tip = model.simulate_observation(motion, values, FRAME_TIMES).points[0, :, -1]
@@ -151,7 +151,7 @@ def read_tip(model, arm, rng):
 
 
 def planned_cast(arm, t_hit=DURATION_S):
-    """Return a cast as it is planned, with the time of its hit [s]."""
+    """Return a planned cast with the time of its hit [s]."""
     curves = plain_cast(arm, DURATION_S)
     empty = [Motion.TABLES[name].empty() for name in ("string", "attempts")]
     outcome = pd.DataFrame([{"duration": DURATION_S, "t_hit": t_hit}])
@@ -159,8 +159,8 @@ def planned_cast(arm, t_hit=DURATION_S):
     return Motion(commands, points, *empty, outcome)
 
 
-def known_to(model, rng, share, draws=DRAWS, misfit=None, mesh_error_m=0.0):
-    """Return an estimate of the right values, known to a share of them."""
+def narrow_estimate(model, rng, share, draws=DRAWS, misfit=None, mesh_error_m=0.0):
+    """Return an estimate of the true values with a relative uncertainty."""
     values = model.values({})
     scale = np.exp(share * rng.standard_normal((draws, len(values))))
     return SimpleNamespace(
@@ -173,7 +173,7 @@ def known_to(model, rng, share, draws=DRAWS, misfit=None, mesh_error_m=0.0):
 
 
 def noise_of_last_cast(arm, motion, rng):
-    """Return what the noise of the points leaves after a cast that is explained."""
+    """Return the misfit table of a cast whose misfit is measurement noise alone."""
     curves = curves_from_motion(motion)
     hand = hand_paths(arm, curves, DURATION_S)[0]
     ticks = arm.tick * np.arange(len(hand))
@@ -186,8 +186,8 @@ def noise_of_last_cast(arm, motion, rng):
 
 
 @pytest.fixture
-def tested(arm, camera):
-    """Return the surprise of a cast whose arm reports something and does another."""
+def run_cast(arm, camera):
+    """Return a function that tests a cast with reported and actual joint angles."""
     model = Model(implicit_string(20, 1e-3), arm, camera)
     rng = np.random.default_rng(0)
 
@@ -199,7 +199,7 @@ def tested(arm, camera):
         readings = points.readings.assign(valid=readable)
         points = Points(points.points, readings, points.masks)
         call = SimpleNamespace(seed=0, setup=SimpleNamespace(model=model))
-        estimate = known_to(model, rng, share, draws)
+        estimate = narrow_estimate(model, rng, share, draws)
         trial = SimpleNamespace(arm=reported(motion))
         return run(call, motion, trial, points, None, estimate)
 
@@ -215,30 +215,32 @@ def late(motion):
 
 
 @pytest.mark.parametrize("moved", [joint_angles, turning_too_far, late])
-def test_an_arm_that_reports_what_it_does_is_no_surprise(tested, moved):
-    assert not tested(reported=moved, performed=moved).is_surprising
+def test_deviation_that_the_arm_reports_is_no_surprise(run_cast, moved):
+    assert not run_cast(reported=moved, performed=moved).is_surprising
 
 
 @pytest.mark.parametrize("moved", [turning_too_far, late])
-def test_an_arm_that_does_something_else_is_a_surprise(tested, moved):
-    assert tested(reported=joint_angles, performed=moved).is_surprising
+def test_deviation_that_the_arm_does_not_report_is_a_surprise(run_cast, moved):
+    assert run_cast(reported=joint_angles, performed=moved).is_surprising
 
 
-def straying(motion):
+def deviating_later(motion):
     """Return joint angles that differ from the planned ones in the second half."""
     planned = joint_angles(motion)
-    beyond = np.maximum(planned["t"] - DURATION_S / 2, 0)
-    return planned.assign(**{joint: planned[joint] + 4 * beyond for joint in JOINTS})
+    later = np.maximum(planned["t"] - DURATION_S / 2, 0)
+    return planned.assign(**{joint: planned[joint] + 4 * later for joint in JOINTS})
 
 
-def test_what_follows_the_planned_hit_is_no_surprise(tested):
-    assert tested(joint_angles, straying).is_surprising
-    assert not tested(joint_angles, straying, t_hit=DURATION_S / 2).is_surprising
+def test_deviation_after_the_planned_hit_is_ignored(run_cast):
+    assert run_cast(joint_angles, deviating_later).is_surprising
+    assert not run_cast(
+        joint_angles, deviating_later, t_hit=DURATION_S / 2
+    ).is_surprising
 
 
-def test_noise_of_the_last_cast_is_no_surprise_in_the_next(arm, camera):
+def test_measurement_noise_of_the_last_cast_is_no_surprise(arm, camera):
     model = Model(implicit_string(20, 1e-3), arm, camera)
-    motion = planned_cast(arm, t_hit=0.2)  # until then the mesh resolves the string
+    motion = planned_cast(arm, t_hit=0.2)  # the mesh resolves the string until then
     joints = joint_angles(motion)
     rng = np.random.default_rng(5)
     call = SimpleNamespace(seed=0, setup=SimpleNamespace(model=model))
@@ -246,28 +248,28 @@ def test_noise_of_the_last_cast_is_no_surprise_in_the_next(arm, camera):
     found = []
     for _ in range(20):
         last = noise_of_last_cast(arm, motion, rng)
-        estimate = known_to(model, rng, 1e-4, misfit=last)
+        estimate = narrow_estimate(model, rng, 1e-4, misfit=last)
         points = read_tip(model, joints, rng)
         found.append(run(call, motion, trial, points, motion, estimate))
     assert sum(surprise.is_surprising for surprise in found) <= 2
 
 
-def test_a_slow_error_of_the_tip_is_a_surprise(tested):
+def test_gain_error_of_3_percent_is_a_surprise(run_cast):
     """Joints that turn 3 % too far move the tip by up to 11 mm until an early hit.
 
-    The mesh resolves the string until then. Errors of 2 mm that last, of whatever kind,
+    The mesh resolves the string until then. A slow error of 2 mm in the prediction
     would hide this (p = 0.04 to 0.29).
     """
 
     def turning_slightly_too_far(motion):
         return joint_angles(motion, gain=1.03)
 
-    surprise = tested(joint_angles, turning_slightly_too_far, t_hit=0.2, share=1e-3)
+    surprise = run_cast(joint_angles, turning_slightly_too_far, t_hit=0.2, share=1e-3)
     assert surprise.is_surprising
 
 
-def test_a_string_that_is_known_without_its_mesh_is_predicted_without_it(arm, camera):
-    """The mean prediction on a coarse mesh is then the tip of a far finer one."""
+def test_mesh_error_is_removed_if_the_estimate_excludes_it(arm, camera):
+    """The mean prediction on a coarse mesh then agrees with a much finer one."""
     coarse = Model(implicit_string(20, 1e-3), arm, camera)
     fine = Model(implicit_string(153, 1.25e-4), arm, camera)
     motion = planned_cast(arm, t_hit=0.15)
@@ -283,15 +285,15 @@ def test_a_string_that_is_known_without_its_mesh_is_predicted_without_it(arm, ca
 
     offsets = []
     for mesh_error_m in (0.0, 1e-3):
-        estimate = known_to(coarse, rng, 1e-6, 2000, mesh_error_m=mesh_error_m)
+        estimate = narrow_estimate(coarse, rng, 1e-6, 2000, mesh_error_m=mesh_error_m)
         predicted = predict_tips(trial, motion, None, estimate, rng)
         offset = predicted.mean(axis=0) - tip
         offsets.append(np.sqrt(np.mean(np.sum(offset**2, axis=1))))
     assert offsets[1] < 0.2 * offsets[0]
 
 
-def test_nothing_is_said_without_predictions_or_readings(tested):
+def test_no_verdict_without_predictions_or_readings(run_cast):
     for few in ({"draws": 0}, {"draws": 10}, {"readable": False}):
-        surprise = tested(joint_angles, joint_angles, **few)
+        surprise = run_cast(joint_angles, joint_angles, **few)
         assert np.isnan(surprise.p_value)
         assert not surprise.is_surprising

@@ -1,6 +1,6 @@
-"""The string in MuJoCo moves as ours does.
+"""The string moves in MuJoCo as in our simulation.
 
-They agree to a tenth of a millimetre where the string hardly stretches, else to a fifth.
+They agree to 0.1 mm if the string hardly stretches, else to 0.2 mm.
 """
 
 import json
@@ -57,7 +57,7 @@ CASES = {
 }
 
 
-def strings(arm, more):
+def build_model(arm, more):
     plain = ordinary(arm)
     string = replace(
         plain.string, points=20, integrator=ImplicitLeapfrog(), largest_step=1e-4
@@ -68,15 +68,15 @@ def strings(arm, more):
     )
 
 
-def tips_of_ours(model, values):
+def simulate_own_tips(model, values):
     t = np.arange(-0.1, TIMES[-1] + 0.1, 1e-3)
     return simulate(
         model.string, resample_hand_motion(t, hand_pose(t)), values[None], TIMES
     ).tip[0]
 
 
-def tips_of_theirs(model, values, step):
-    """Simulate the chain in MuJoCo and return its tips, from the keyframe at rest."""
+def simulate_mujoco_tips(model, values, step):
+    """Simulate the tip in MuJoCo, from the keyframe at rest."""
     t = np.arange(0.0, TIMES[-1] + 0.1, 1e-3)
     hand = resample_hand_motion(t, hand_pose(t))
     document = build_mjcf(model, values, MASS, step, hand.pose[0, 0])
@@ -84,20 +84,22 @@ def tips_of_theirs(model, values, step):
 
 
 @pytest.mark.parametrize("more", CASES.values(), ids=CASES)
-def test_the_chain_moves_as_the_string_does(arm, more):
+def test_mujoco_chain_moves_as_the_string_does(arm, more):
     pytest.importorskip("mujoco", reason=REASON)
-    model = strings(arm, more)
-    # [m]; the string of TRUTH stretches by some millimetres, and its links do, too
+    model = build_model(arm, more)
+    # tolerances [m]; the string of TRUTH stretches by some millimetres
     for truth, most in ((STIFF, 1e-4), (TRUTH, 2e-4)):
         values = model.values(truth | more)
         step = min(choose_step(model, values), 2.5e-4)
-        off = tips_of_theirs(model, values, step) - tips_of_ours(model, values)
+        off = simulate_mujoco_tips(model, values, step) - simulate_own_tips(
+            model, values
+        )
         assert np.hypot(*off.T).max() < most
 
 
-def test_a_string_that_stretches_has_links_that_do_and_a_stable_step(arm):
-    """Links of 1000 times the stiffness do not: MuJoCo would take steps of 2 us."""
-    model = strings(arm, {})
+def test_links_of_a_soft_string_stretch_and_its_step_is_stable(arm):
+    """Links of 1000 times the stiffness would need steps of 2 us, so they are rigid."""
+    model = build_model(arm, {})
     soft, stiff = (model.values(truth) for truth in (TRUTH, STIFF))
     assert 'type="slide" axis="1 0 0" stiffness' in build_mjcf(model, soft, MASS, 1e-4)
     text = build_mjcf(model, stiff, MASS, 5e-4)
@@ -108,55 +110,55 @@ def test_a_string_that_stretches_has_links_that_do_and_a_stable_step(arm):
         build_mjcf(model, soft, MASS, 5e-4)
 
 
-def test_the_keyframe_is_at_rest_and_the_player_plays(arm, tmp_path):
+def test_keyframe_is_at_rest(arm, tmp_path):
     mujoco = pytest.importorskip("mujoco", reason=REASON)
-    model = strings(arm, {"rest_curvature.curvature": 2.0})
+    model = build_model(arm, {"rest_curvature.curvature": 2.0})
     values = model.values(TRUTH | {"rest_curvature.curvature": 2.0})
     document = build_mjcf(model, values, MASS, choose_step(model, values))
-    theirs = mujoco.MjModel.from_xml_string(document)
-    data = mujoco.MjData(theirs)
-    mujoco.mj_resetDataKeyframe(theirs, data, theirs.key("rest").id)
-    mujoco.mj_forward(theirs, data)
+    mujoco_model = mujoco.MjModel.from_xml_string(document)
+    data = mujoco.MjData(mujoco_model)
+    mujoco.mj_resetDataKeyframe(mujoco_model, data, mujoco_model.key("rest").id)
+    mujoco.mj_forward(mujoco_model, data)
     begin = data.site("tip").xpos.copy()
     for _ in range(2000):
-        mujoco.mj_step(theirs, data)
+        mujoco.mj_step(mujoco_model, data)
     assert np.abs(data.site("tip").xpos - begin).max() < 1e-5
-    assert [theirs.actuator(i).name for i in range(3)] == [
+    assert [mujoco_model.actuator(i).name for i in range(3)] == [
         "push_x",
         "push_y",
         "push_theta",
     ]
 
 
-def test_the_player_is_a_script_of_a_few_lines():
+def test_player_is_a_short_script():
     lines = PLAYER_TEXT.format(file="string.xml").splitlines()
     compile("\n".join(lines), "play.py", "exec")
     assert sum(bool(line.strip()) for line in lines) <= 15
 
 
-def test_what_is_written_weighs_and_measures_what_the_string_does(arm):
-    model = strings(arm, {"tip_mass.ratio": 0.2})
+def test_exported_mass_and_length_are_those_of_the_string(arm):
+    model = build_model(arm, {"tip_mass.ratio": 0.2})
     root = ET.fromstring(
         build_mjcf(model, model.values(TRUTH | {"tip_mass.ratio": 0.2}), MASS, STEP)
     )
     links = [body for body in root.iter("body") if body.get("name").startswith("link")]
     assert len(links) == 19
     weights = [float(link.find("inertial").get("mass")) for link in links]
-    # Eq. 1: the points that move weigh a segment each
+    # Eq. 1: each moving point has the mass of a segment
     assert sum(weights) == pytest.approx(1.2 * MASS)
     assert sum(
         float(link.find("inertial").get("pos").split()[0]) for link in links
     ) == pytest.approx(0.3)
 
 
-def test_what_mujoco_has_no_law_for_is_refused_by_name(arm):
+def test_effects_without_a_law_in_mujoco_are_refused(arm):
     for name in ("maxwell_slip", "nonlinear_bending", "anisotropic_drag", "contact"):
         model = ordinary(arm).with_effects(effects_by_name()[name])
         with pytest.raises(DataError, match=f"effect '{name}': MuJoCo has no such law"):
             build_mjcf(model, model.values({}), MASS, STEP)
 
 
-def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
+def test_command_writes_mjcf_and_parameter_table(tmp_path, capsys):
     known = {
         "bending_stiffness": 4.0,
         "tip_mass.ratio": {"value": 0.2, "low": 0.1, "high": 0.3},
@@ -168,21 +170,21 @@ def test_the_command_writes_a_chain_and_a_card(tmp_path, capsys):
     assert export([str(tmp_path), str(tmp_path / "string.xml"), "--mass", "0.01"]) == 0
     text = (tmp_path / "string.xml").read_text()
     assert ET.fromstring(text).tag == "mujoco"
-    assert "Left out, for no part of the string: arm_lag" in text
+    assert "Left out, because not acting on the string: arm_lag" in text
     assert export([str(tmp_path), str(tmp_path / "string.csv")]) == 0
     assert "tip_mass.ratio,,0.2,0.1,0.3,1," in (tmp_path / "string.csv").read_text()
-    for words, says in (
+    for arguments, message in (
         (["x.xml"], "must be given in kg"),
         (["x.step", "--mass", "1"], "names no format"),
         (["x.json"], "it holds no motion"),
         (["x.nc"], "it holds no posterior samples"),
     ):
-        with pytest.raises(Exception, match=says):
-            export([str(tmp_path), str(tmp_path / words[0]), *words[1:]])
+        with pytest.raises(Exception, match=message):
+            export([str(tmp_path), str(tmp_path / arguments[0]), *arguments[1:]])
     assert not (tmp_path / "x.xml").exists()
 
 
-def test_a_motion_is_a_trajectory_of_ros(tmp_path):
+def test_motion_is_exported_as_a_ros_trajectory(tmp_path):
     t = np.array([0.5, 0.505, 1.5])
     columns = {name: n + t for n, name in enumerate((*JOINTS, *SPEEDS))}
     commands = pd.DataFrame({"t": t} | columns)
@@ -207,8 +209,8 @@ def test_a_motion_is_a_trajectory_of_ros(tmp_path):
     assert list(message.ros_msg.points[2].positions) == pytest.approx([1.5, 2.5, 3.5])
 
 
-def test_log_likelihoods_are_those_of_normal_errors(arm, monkeypatch):
-    """Two points 1 and 2 sigma off in x, of sigma 2 mm."""
+def test_log_likelihood_is_that_of_normal_errors(arm, monkeypatch):
+    """Two points have errors of 1 and 2 sigma in x, with a sigma of 2 mm."""
     trial = SimpleNamespace(sigma=np.full(2, 2e-3), name="t00")
     monkeypatch.setattr(
         samples, "normalised_residuals", lambda *_: [np.array([[1.0, 0, 2.0, 0]])]
@@ -226,12 +228,12 @@ def test_log_likelihoods_are_those_of_normal_errors(arm, monkeypatch):
     assert stiffness.attrs["units"] == "N m/(rad kg)"
 
 
-def test_a_card_of_casts_has_the_intervals_that_they_found(called, tmp_path):
-    """A card of casts has the estimated intervals.
+def test_exported_table_has_the_estimated_intervals(called, tmp_path):
+    """A table of casts has the estimated intervals.
 
     A search on E gives none, and none are made up.
     """
-    done = called(
+    result = called(
         "+experiment=quick",
         "estimate=least_squares",
         "estimate.starts=2",
@@ -239,22 +241,24 @@ def test_a_card_of_casts_has_the_intervals_that_they_found(called, tmp_path):
         "saved_outputs=[]",
         f"hydra.run.dir={tmp_path / 'run'}",
     )
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     assert (
         load_command("export")([str(tmp_path / "run"), str(tmp_path / "string.csv")])
         == 0
     )
-    card = pd.read_csv(tmp_path / "string.csv").set_index("name")
-    (found,) = (tmp_path / "run").glob("iterations/01/estimate/parameters.parquet")
-    same = (
-        pd.read_parquet(found)
+    table = pd.read_csv(tmp_path / "string.csv").set_index("name")
+    (parameters_file,) = (tmp_path / "run").glob(
+        "iterations/01/estimate/parameters.parquet"
+    )
+    expected = (
+        pd.read_parquet(parameters_file)
         .set_index("name")
-        .loc[card.index, ["value", "low", "high"]]
+        .loc[table.index, ["value", "low", "high"]]
     )
     pd.testing.assert_frame_equal(
-        card[["value", "low", "high"]], same, check_dtype=False
+        table[["value", "low", "high"]], expected, check_dtype=False
     )
-    assert card["low"].notna().all()
+    assert table["low"].notna().all()
     with pytest.raises(UserError, match="there is no such folder"):
         load_command("export")(
             [str(tmp_path / "nowhere"), str(tmp_path / "string.csv")]

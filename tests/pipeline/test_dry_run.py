@@ -1,7 +1,4 @@
-"""A whole run with the arm disabled.
-
-It runs every step but estimation, and its trial is refused wherever it is read.
-"""
+"""A dry run makes every step except the estimation, and its trial is invalid."""
 
 import json
 import re
@@ -20,13 +17,13 @@ from tests.faults.toy import CALLS, toy_experiment, toy_run
 REASON = "dry run with the arm disabled"
 
 
-def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
+def test_dry_run_makes_an_invalid_trial(called, tmp_path):
     folder = tmp_path / "run"
-    ran = called("+experiment=quick", "execute=dry", f"hydra.run.dir={folder}")
-    assert ran.returncode == 0, ran.stderr
-    said = " ".join(ran.stderr.replace("│", " ").split())
-    assert REASON in said
-    assert "nan" not in said
+    result = called("+experiment=quick", "execute=dry", f"hydra.run.dir={folder}")
+    assert result.returncode == 0, result.stderr
+    log = " ".join(result.stderr.replace("│", " ").split())
+    assert REASON in log
+    assert "nan" not in log
     sentence = json.loads((folder / "run.json").read_text())["sentence"]
     assert re.match(
         r"Dry run: .*commands went out .* ms late .* 0 of \d+ were late or lost",
@@ -36,7 +33,7 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
         int,
         re.search(r"the string was read in (\d+) of (\d+) frames", sentence).groups(),
     )
-    # at the pose of rest the picture shows more than the string
+    # at rest the string hangs against other dark objects
     assert (seen, frames) == (0, 88)
     assert (
         "most often: something like a string hangs together with the string" in sentence
@@ -53,41 +50,44 @@ def test_nothing_is_learned_from_a_rehearsal(called, tmp_path):
     assert run_row(folder)["outcome"] == "dry run"
     shown = (folder / "report.html").read_text(encoding="utf-8")
     assert '<span class="badge">not valid</span>' in shown
-    # the string was not cast at the target, and nothing is learned
+    # neither a hit or miss nor a diagnosis is shown
     assert not re.search("✗|✓|experiment=diagnose", shown)
     data = read_dataset(folder)
     assert data.trials == {}
     assert data.rejection_reasons == {"t01": REASON}
 
 
-class Absent:
+class AbsentDevice:
     """A device that is not connected."""
 
-    def __init__(self, words):
-        self.words = words
+    def __init__(self, message):
+        self.message = message
 
     def __enter__(self):
-        raise HardwareError(self.words)
+        raise HardwareError(self.message)
 
     def __exit__(self, *_):
         return None
 
 
-def test_what_is_wrong_with_arm_and_camera_is_told_together_before_anything_is_planned(
+def test_all_device_faults_are_reported_before_planning(
     tmp_path,
 ):
-    here = toy_experiment(1)
+    experiment = toy_experiment(1)
 
     def with_lab(arm, camera):
         lab = {"hardware": lambda *_, **__: SimpleNamespace(arm=arm, camera=camera)}
-        return replace(here, stages={**here.stages, **lab})
+        return replace(experiment, stages={**experiment.stages, **lab})
 
     CALLS.clear()
     with pytest.raises(HardwareError, match=r"no such port\nno such camera"):
         toy_run(
-            tmp_path / "run", with_lab(Absent("no such port"), Absent("no such camera"))
+            tmp_path / "run",
+            with_lab(AbsentDevice("no such port"), AbsentDevice("no such camera")),
         )
     with pytest.raises(HardwareError, match=r"^no such camera$"):
-        toy_run(tmp_path / "run", with_lab(nullcontext(), Absent("no such camera")))
+        toy_run(
+            tmp_path / "run", with_lab(nullcontext(), AbsentDevice("no such camera"))
+        )
     assert CALLS == []
     assert not (tmp_path / "run").exists()
