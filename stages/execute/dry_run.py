@@ -107,7 +107,7 @@ def slow_run(
 
 
 def slow_commands(commands: pd.DataFrame, share: float) -> pd.DataFrame:
-    """Slow commands (table COMMANDS) down to a share of their speed, with the same tick.
+    """Slow commands (table COMMANDS) down to a share of their speed, at the same tick.
 
     Accelerations fall by `share` at least.
     """

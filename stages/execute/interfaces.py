@@ -168,7 +168,7 @@ class CameraDevice(Protocol):
         """Close the camera."""
 
     def start(self) -> None:
-        """Start filming.
+        """Start to record frames in the background.
 
         Raises
         ------

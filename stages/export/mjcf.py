@@ -51,7 +51,8 @@ DOCUMENT_TEMPLATE = """\
 <mujoco model="string">
   <!-- Written by stringcast: {segments} links, {length:g} m, {mass:g} kg. Planar, x \
 to the right, y up.
-       {stretching} At rest the string's weight stretches it by {stretch:.2f} mm.{omitted}
+       {stretching} At rest its weight stretches the string by {stretch:.2f} \
+mm.{omitted}
        Keyframe "rest": the string at rest in the hand.
        The hand is a carriage; to attach the string to your own gripper, copy body \
 link_1 with its children. -->

@@ -95,15 +95,15 @@ def measure_surprise(
     noise = rng.standard_normal(predicted.shape) * sigma[:, None]
     paths = np.concatenate([measured[None], predicted + noise])
     distances = distances_from_neighbours(paths, sigma)
-    at_least_as_far = int((distances[1:] >= distances[0]).sum())
-    p_value = (1 + at_least_as_far) / (1 + draws)
-    distance_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
+    as_unusual = int((distances[1:] >= distances[0]).sum())
+    p_value = (1 + as_unusual) / (1 + draws)
+    offset_m = np.linalg.norm(measured - np.median(predicted, axis=0), axis=-1)
     is_surprising = p_value <= ALARM_P_VALUE
     conclusion = "a surprise" if is_surprising else "no surprise"
     sentence = (
-        f"Until the planned hit, the tip was up to {MM_PER_M * distance_m.max():.0f} mm "
+        f"Until the planned hit, the tip was up to {MM_PER_M * offset_m.max():.0f} mm "
         f"from its predicted path. Of {draws} paths simulated with possible strings, "
-        f"{at_least_as_far} are as unusual: the trial is {conclusion} (p = {p_value:.2g})."
+        f"{as_unusual} are as unusual: the trial is {conclusion} (p = {p_value:.2g})."
     )
     return _describe(
         draws, len(measured), sentence, float(distances[0]), p_value, is_surprising

@@ -229,10 +229,6 @@ def test_log_likelihood_is_that_of_normal_errors(arm, monkeypatch):
 
 
 def test_exported_table_has_the_estimated_intervals(called, tmp_path):
-    """A table of casts has the estimated intervals.
-
-    A search on E gives none, and none are made up.
-    """
     result = called(
         "+experiment=quick",
         "estimate=least_squares",
