@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.data.trial_faults import MIN_FRAMES
+from stringcast.stages.diagnose.measures import residuals_without_nuisance
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
     with_initial_states_of,
@@ -83,7 +84,9 @@ def reestimate_noise(prepared: PreparedData, fit: Fit) -> PreparedData:
         if reconsidered.outlier_count < OUTLIER_RETENTION * prepared.outlier_count:
             trials = estimate_noise(kept, residuals, prepared.noise_is_given)
             return replace(reconsidered, trials=trials)
-    trials = estimate_noise(prepared.trials, fit.residuals, prepared.noise_is_given)
+    # Initial states displace points to first order, which may look like noise
+    residuals = residuals_without_nuisance(prepared.data, fit)
+    trials = estimate_noise(prepared.trials, residuals, prepared.noise_is_given)
     return replace(prepared, trials=trials)
 
 

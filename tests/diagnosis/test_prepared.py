@@ -269,6 +269,28 @@ def test_outliers_that_a_better_fit_explains_are_restored(prepared):
     assert reconsidered.point_counts == prepared.point_counts
 
 
+def test_noise_is_not_what_another_initial_state_does(prepared):
+    """A state far from that of the first frames displaces points by much more."""
+    trials = []
+    residuals = []
+    given = zip(prepared.data.trials, prepared.base_fit.residuals, strict=True)
+    for trial, residual in given:
+        time = trial.times[trial.frame]
+        vibration = 50 * np.sin(9 * time) + 20 * (-1.0) ** trial.frame
+        shape = np.repeat(vibration, 2)[:, None]  # of both coordinates, over sigma
+        discrepancy = trial.discrepancy.with_nuisance(shape)
+        trials.append(replace(trial, error_model=discrepancy))
+        residuals.append(residual + 3 * shape[:, 0])
+    displaced = replace(prepared, data=TrialData(tuple(trials)))
+    fit = replace(prepared.base_fit, residuals=residuals)
+
+    expected = reestimate_noise(prepared, prepared.base_fit).trials[0].noise
+    found = reestimate_noise(displaced, fit).trials[0].noise
+    assert found.variance_of_means == pytest.approx(
+        expected.variance_of_means, rel=0.05
+    )
+
+
 def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model):
     """One trial of another string does not mislead the search.
 
