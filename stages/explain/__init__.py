@@ -1,4 +1,4 @@
-"""The explanation as a stage: the cause of surprising trials, found within a budget."""
+"""Explain: find the causes of surprising trials within a budget of processor time."""
 
 import pandas as pd
 

@@ -1,7 +1,7 @@
-"""The search of causes: the most evident first, until the budget is used up.
+"""Search for causes, the most evident first, until the budget is used up.
 
-A few iterations on a coarse mesh rank all effects of the library. The most evident are
-then fitted. Where the best leaves too much, another effect is sought in addition to it.
+Comparisons on a coarse mesh rank all effects of the library. The most evident ones are
+then fitted. If the best fit leaves too large a residual, effects are added to it.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from stringcast.stages.explain.comparison import (
 from stringcast.stages.explain.noise_ratios import NoiseRatios, compare_with_noise
 from stringcast.stages.model.effect import Effect
 
-MAX_CAUSES = 3  # together
-SLOW_FITS = 5.0  # others take as long as one with stiff loads
-# Of the log evidence on the coarse mesh. What is further behind the best is not fitted:
-# a fit from nothing gains less, and others gain as well
+MAX_CAUSES = 3  # that act together
+SLOW_FITS = 5.0  # duration of a fit with stiff loads, in other fits
+# Largest deficit of log evidence on the coarse mesh of an effect that is fitted. A fit
+# hardly makes up for more.
 MAX_DEFICIT = 15.0
-# Of what the best gains, where that is more: of two that fits could not distinguish,
-# one was 16 of 61 behind
+# Largest deficit as a share of the best effect's gain, if larger than MAX_DEFICIT. Of
+# two effects that fits could not distinguish, one had a deficit of 16 at a gain of 61.
 MAX_DEFICIT_FRACTION = 0.5
-# Of the ranking as if effects acted linearly: the causes of string D with three hidden
-# ones were at most seventh
+# Effects that are refined after the linear ranking. In it, each of three hidden causes
+# of string D was at least seventh.
 REFINED_EFFECTS = 10
 
 
 def max_deficit(gain: float) -> float:
-    """Return by how much the coarse mesh may err where the best effect gains so much.
+    """Return the largest deficit of log evidence at which an effect is fitted.
 
-    Of the log evidence, as the gain.
+    gain: gain of log evidence of the best effect.
     """
     return max(MAX_DEFICIT, MAX_DEFICIT_FRACTION * gain)
 
@@ -54,10 +54,10 @@ class Budget:
 
     Parameters
     ----------
-    seconds : how much [s]
-    progress : is called with the share that is used
-    longest_fit : time that a fit has taken at most [s]
-    longest_screening : time that a screening of all effects has taken at most [s]
+    seconds : processor time [s]
+    progress : called with the used share
+    longest_fit : longest time of a fit so far [s]
+    longest_screening : longest time of a screening of all effects so far [s]
     """
 
     seconds: float
@@ -66,11 +66,11 @@ class Budget:
     longest_screening: float = 0.0
 
     def __post_init__(self) -> None:
-        """Begin to count."""
+        """Start the clock."""
         self.began = time.process_time()
 
     def is_used_up(self, fits: float = 1.0, screenings: float = 0.0) -> bool:
-        """Return whether too little is left for so many; show how much is used."""
+        """Return whether too little time is left for fits and screenings."""
         used = time.process_time() - self.began
         self.progress(min(used / max(self.seconds, 1e-9), 1.0))
         needed = fits * self.longest_fit + screenings * self.longest_screening
@@ -78,14 +78,14 @@ class Budget:
 
     @contextmanager
     def measure_fit(self) -> Iterator[None]:
-        """Measure the time of a fit, which the next one may take as well."""
+        """Measure the time of a fit."""
         began = time.process_time()
         yield
         self.longest_fit = max(self.longest_fit, time.process_time() - began)
 
     @contextmanager
     def measure_screening(self) -> Iterator[None]:
-        """Measure the time of a screening, which the next one may take as well."""
+        """Measure the time of a screening."""
         began = time.process_time()
         yield
         taken = time.process_time() - began
@@ -98,41 +98,41 @@ class Finalist:
 
     Parameters
     ----------
-    effects : mostly one
-    comparer : compares effects that are added to these causes
-    comparison : of all on the coarse mesh, or with earlier trials
-    waits : whether all others are fitted first
+    effects : effects to add, usually one
+    comparer : compares effects added to these causes
+    comparison : comparison on the coarse mesh, or with earlier trials
+    is_deferred : whether all others are fitted first
     """
 
     effects: tuple[type[Effect], ...]
     comparer: Comparer
     comparison: Comparison
-    waits: bool = False
+    is_deferred: bool = False
 
     @property
     def is_slow(self) -> bool:
-        """Whether some loads are so stiff that a fit takes SLOW_FITS times as long."""
+        """Whether stiff loads make a fit take SLOW_FITS times as long."""
         return any(hasattr(effect, "bound") for effect in self.effects)
 
 
 @dataclass
 class CauseSearch:
-    """Search of causes: each effect is added to the most evident ones.
+    """Forward search for causes: effects are added to the most evident ones.
 
     Parameters
     ----------
     comparer : Comparer
-        Compares effects that are added to the model as it was.
+        Compares effects added to the original model.
     effects : sequence of Effect types
-        That may act.
+        Candidate effects.
     compared : dict
-        All comparisons by their causes. The search adds to them.
+        All comparisons by their causes; the search adds to it.
     finalists : int
-        Number of the most evident causes that are fitted as if nothing were known.
+        Largest number of effects that are fitted after a screening.
     budget : Budget
         Processor time that may be used.
     is_surprising : bool
-        Whether other causes are sought where those of earlier trials explain all.
+        Whether to search even if the causes of earlier trials explain everything.
     """
 
     comparer: Comparer
@@ -143,12 +143,12 @@ class CauseSearch:
     is_surprising: bool = False
 
     def __post_init__(self) -> None:
-        """Begin with nothing searched."""
+        """Initialise the search."""
         self.is_cut_short = False  # whether the time ended the search
-        self.fitted = dict(self.compared)  # also causes that explain too little
-        self.extended: set[tuple[str, ...]] = set()  # to which all others were added
+        self.fitted = dict(self.compared)  # including causes that explain too little
+        self.extended: set[tuple[str, ...]] = set()  # causes with all others tried
         self.waiting: list[Finalist] = []
-        self.unfitted: list[Finalist] = []  # for which there was no time
+        self.unfitted: list[Finalist] = []  # not fitted for lack of time
         self.noise_ratios: dict[tuple[str, ...], NoiseRatios] = {}
 
     @property
@@ -159,59 +159,62 @@ class CauseSearch:
         return all(len(each.comparison.causes) > 1 for each in self.unfitted)
 
     def search(self, tolerance_m: float) -> None:
-        """Add effects to the most evident causes while more than noise is left.
+        """Add effects to the most evident causes while the residual exceeds the noise.
 
-        Each of these steps screens all effects and fits the most evident one. Rivals
-        wait until no further effect helps, unless one might leave only noise by itself.
-        Then effects are added to the next most evident causes. If the best leave only
-        noise, rivals of as many causes are sought in the same way.
+        Each step screens all effects and fits the most evident one. Rivals wait until
+        no further effect helps, unless one might explain everything by itself. Then
+        effects are added to the next most evident causes. If the best causes leave only
+        noise, rivals with as many causes are searched for in the same way.
 
         tolerance_m: tip misfit that needs no further cause [m].
         """
         while True:
-            open_end = self.most_evident_open_end(tolerance_m)
-            finalist = self.next_finalist(open_end, tolerance_m)
+            extendable = self.most_evident_extendable(tolerance_m)
+            finalist = self.next_finalist(extendable, tolerance_m)
             if finalist is not None:
                 self.fit(finalist)
-            elif open_end is None:
+            elif extendable is None:
                 return
             elif self.has_time_to_extend():
-                self.add_effect_to(open_end)
+                self.add_effect_to(extendable)
             else:
                 self.is_cut_short = True
                 return
 
     def has_time_to_extend(self) -> bool:
-        """Return whether effects can be screened and one fitted before time is up.
+        """Return whether there is time for a screening and a fit.
 
-        Effects are screened in any case while no cause is known.
+        The first screening is always made.
         """
         is_first = len(self.fitted) == 1
         return is_first or not self.budget.is_used_up(screenings=1.0)
 
     def next_finalist(
-        self, open_end: Comparison | None, tolerance_m: float
+        self, extendable: Comparison | None, tolerance_m: float
     ) -> Finalist | None:
-        """Choose the effect that is fitted next, before effects are added to causes.
+        """Choose the finalist to fit next; None to add effects to `extendable` first.
 
-        open_end: causes to which effects may be added.
+        extendable: most evident causes to which effects may be added.
         tolerance_m: tip misfit that needs no further cause [m].
         """
         self.drop_unlikely_finalists(tolerance_m)
         if not self.waiting:
             return None
         finalist = min(
-            self.waiting, key=lambda each: (each.waits, -each.comparison.log_evidence)
+            self.waiting,
+            key=lambda each: (each.is_deferred, -each.comparison.log_evidence),
         )
         best = most_evident_fit(self.compared.values())
-        is_best_open = open_end is not None and open_end.causes == best.causes
-        might_suffice = not finalist.waits and self.might_leave_only_noise(finalist)
+        is_best_open = extendable is not None and extendable.causes == best.causes
+        might_suffice = False
+        if not finalist.is_deferred:
+            might_suffice = self.might_leave_only_noise(finalist)
         if is_best_open and not might_suffice and self.has_time_to_extend():
             return None
         return finalist
 
     def drop_unlikely_finalists(self, tolerance_m: float) -> None:
-        """Drop finalists that cannot become the most evident causes, nor part of them.
+        """Drop finalists that can neither become the best causes nor part of them.
 
         tolerance_m: tip misfit that needs no further cause [m].
         """
@@ -220,16 +223,18 @@ class CauseSearch:
         kept = []
         for each in self.waiting:
             evidence = each.comparison.log_evidence
-            is_behind = each.waits and evidence + MAX_DEFICIT <= best.log_evidence
-            is_longer = len(each.comparison.causes) > len(best.causes)
-            if not is_behind and not (is_explained and is_longer):
+            is_unlikely = (
+                each.is_deferred and evidence + MAX_DEFICIT <= best.log_evidence
+            )
+            has_more_causes = len(each.comparison.causes) > len(best.causes)
+            if not is_unlikely and not (is_explained and has_more_causes):
                 kept.append(each)
         self.waiting = kept
 
     def might_leave_only_noise(self, finalist: Finalist) -> bool:
-        """Return whether a finalist might leave only noise, as far as screening says.
+        """Return whether a finalist might leave only noise, within the screening error.
 
-        A coarse mesh errs by as much as makes a rival worth a fit.
+        The log evidence of the screening may be too low by `max_deficit`.
         """
         nothing = self.comparer.base
         noise = noise_m(self.comparer.observations)
@@ -240,9 +245,9 @@ class CauseSearch:
         return bool(evidence + max_deficit(evidence) >= most)
 
     def add_effect_to(self, base: Comparison) -> None:
-        """Screen all effects in addition to causes; the most evident are finalists.
+        """Screen all effects in addition to causes; the most evident become finalists.
 
-        A slow effect waits for the others, unless it is far more evident.
+        A slow effect is deferred, unless it is far more evident than the others.
         """
         self.extended.add(base.causes)
         comparer = self.comparer.with_base(base)
@@ -257,19 +262,18 @@ class CauseSearch:
         for each in finalists:
             behind = most - each.comparison.log_evidence
             ahead = each.comparison.log_evidence - max(quick, default=-np.inf)
-            waits = each.is_slow and ahead < MAX_DEFICIT
-            if waits or behind < max_deficit(gain):
-                self.waiting.append(replace(each, waits=waits))
+            is_deferred = each.is_slow and ahead < MAX_DEFICIT
+            if is_deferred or behind < max_deficit(gain):
+                self.waiting.append(replace(each, is_deferred=is_deferred))
         if not base.causes:
-            # what was not fitted is as evident as it seems on the coarse mesh
+            # effects that are not fitted keep the evidence of the coarse mesh
             for each in screened:
                 self.compared.setdefault(each.comparison.causes, each.comparison)
 
     def fit(self, finalist: Finalist) -> None:
-        """Fit an effect that is added to causes; keep it if it explains enough.
+        """Fit a finalist; keep it if it explains enough.
 
-        Where there are causes already, it must explain half of what they leave beyond
-        noise.
+        An effect added to causes must explain half of their residual beyond noise.
         """
         comparer, causes = finalist.comparer, finalist.comparison.causes
         base = comparer.base
@@ -286,9 +290,9 @@ class CauseSearch:
             self.compared[causes] = self.fitted[causes]
 
     def screen_effects(self, comparer: Comparer) -> list[Finalist]:
-        """Compare each effect that is added to causes on a coarse mesh.
+        """Compare each effect added to causes on a coarse mesh.
 
-        The best of those that are compared as if they acted linearly are refined.
+        Effects are ranked in linear approximation, and the best are refined.
         """
         plain = comparer.screened_square(())
         squares = {}
@@ -305,49 +309,49 @@ class CauseSearch:
             screened.append(Finalist((effect,), comparer, compared))
         return screened
 
-    def most_evident_open_end(self, tolerance_m: float) -> Comparison | None:
-        """Return the most evident causes to which no effect was added, if it may help.
+    def most_evident_extendable(self, tolerance_m: float) -> Comparison | None:
+        """Return the most evident causes to which adding effects may help, if any.
 
         tolerance_m: tip misfit that needs no further cause [m].
         """
         best = most_evident_fit(self.compared.values())
         nothing = self.compared[NO_CAUSE]
         if NO_CAUSE not in self.extended and not explains_half(best, nothing):
-            return nothing  # what earlier trials showed is of little help
+            return nothing  # the causes of earlier trials explain too little
         if not best.causes:
             return None
         is_explained = self.is_explained(best, tolerance_m)
-        # more causes would be no likelier then
+        # if the best causes explain everything, more would not be likelier
         most_causes = len(best.causes) if is_explained else MAX_CAUSES
-        open_ends = []
+        candidates = []
         for causes, each in self.compared.items():
             is_open = each.estimate is not None and causes not in self.extended
             if causes == NO_CAUSE and is_explained and not self.is_surprising:
-                continue  # causes of earlier trials explain these, too
+                continue  # the causes of earlier trials explain these as well
             if is_open and len(causes) < most_causes:
-                open_ends.append(each)
-        return most_evident_fit(open_ends) if open_ends else None
+                candidates.append(each)
+        return most_evident_fit(candidates) if candidates else None
 
     def is_explained(self, comparison: Comparison, tolerance_m: float) -> bool:
-        """Return whether fitted causes leave little, and nothing but noise.
+        """Return whether fitted causes leave a small misfit and only noise.
 
-        tolerance_m: tip misfit that matters little [m].
+        tolerance_m: tip misfit that is small [m].
         """
-        if not comparison.causes or not self.is_near(comparison, tolerance_m):
+        if not comparison.causes or not self.has_small_misfit(comparison, tolerance_m):
             return False
         return self.noise_ratios_of(comparison).explain_all
 
-    def is_near(self, comparison: Comparison, tolerance_m: float) -> bool:
-        """Return whether fitted causes leave little, or only the mesh's error.
+    def has_small_misfit(self, comparison: Comparison, tolerance_m: float) -> bool:
+        """Return whether fitted causes leave a small misfit, or only the mesh error.
 
-        tolerance_m: tip misfit that matters little [m].
+        tolerance_m: tip misfit that is small [m].
         """
         if tip_rms_m(comparison.estimate) <= tolerance_m:
             return True
-        return self.noise_ratios_of(comparison).leave_mesh_error
+        return self.noise_ratios_of(comparison).leave_only_mesh_error
 
     def noise_ratios_of(self, comparison: Comparison) -> NoiseRatios:
-        """Compare what causes that were fitted leave with the noise."""
+        """Compare the residual of fitted causes with the noise."""
         causes = comparison.causes
         if causes not in self.noise_ratios:
             estimate = self.comparer.base.estimate

@@ -1,8 +1,8 @@
-"""Comparison of causes with trials: on a coarse mesh, and by fits as from nothing.
+"""Compare causes with trials: on a coarse mesh, and by fits from new starts.
 
-A cause that moves much, such as a heavy tip, moves the other parameters along, so that
-a fit that begins nearby may end nearby. The evidence is that of the Bayesian
-information criterion (Schwarz 1978) for independent blocks of time.
+A strong cause, such as a heavy tip, shifts the other parameters, so that a fit from the
+old optimum may end in a local minimum. The evidence is that of the Bayesian information
+criterion (Schwarz 1978) for independent blocks of time.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 
 NO_CAUSE: tuple[str, ...] = ()
-MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, by a cause that is named
-PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the way from absent to an amplitude
+MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, for a cause to be named
+PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the distance from absent to an amplitude
 PROBES = 16
-SCREENED_PROBES = 3  # the best of them, which are refined
+SCREENED_PROBES = 3  # best probes, which are refined
 SCREENING_ITERATIONS = 8  # at most
-# Of the log evidence. Runs that promise less end; with 0.05 some ended on a plateau
+# Predicted gain of log evidence below which a run stops; with 0.05 some runs stopped on
+# a plateau
 SCREENING_MIN_GAIN = 0.005
-COARSE_LEVEL = 2  # of the mesh, halvings
+COARSE_LEVEL = 2  # halvings of the mesh
 
 
 @dataclass(frozen=True)
@@ -49,9 +50,9 @@ class Comparison:
 
     Parameters
     ----------
-    causes : names of the effects; empty for the model as it was
-    log_evidence : gain over the model as it was
-    estimate : of the model with the causes, where it was fitted from nothing
+    causes : names of the effects; empty for the original model
+    log_evidence : gain over the original model
+    estimate : estimate with the causes, if they were fitted
     """
 
     causes: tuple[str, ...]
@@ -61,22 +62,22 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Comparer:
-    """Compare effects that are added to a model, by the same trials.
+    """Compare effects added to a model, on the same trials.
 
     Parameters
     ----------
     model : Model
-        With the causes that were found before, if any.
+        Model with the causes found so far.
     observations : sequence of Observation
         The trials.
     base : Comparison
-        Of this model with the trials, fitted.
+        Comparison of this model with the trials, fitted.
     blocks : int
         Number of independent blocks of time in the trials.
     fit_model : callable
-        Fits a model to observations, also from an earlier estimate, if there is one.
+        Fits a model to observations from new starts and from an earlier estimate.
     seed : int
-        Of the sizes at which effects are tried.
+        Seed of the parameter values at which effects are tried.
     """
 
     model: Model
@@ -87,7 +88,7 @@ class Comparer:
     seed: int
 
     def with_base(self, base: Comparison) -> Comparer:
-        """Return the comparison of effects that are added to causes."""
+        """Return a comparer of effects added to these causes."""
         extended = self.model.with_effects(*find_effects(base.causes))
         return replace(self, model=extended, base=base)
 
@@ -97,7 +98,7 @@ class Comparer:
         square_ratio: float,
         estimate: Estimate | None = None,
     ) -> Comparison:
-        """Compare effects by a mean square that falls to a ratio of the base's."""
+        """Compute the log evidence of effects from the ratio of mean squares."""
         gain = self.blocks * -np.log(max(square_ratio, np.finfo(float).tiny))
         added = sum(len(effect.parameters) for effect in effects)
         evidence = gain - 0.5 * added * np.log(self.blocks)
@@ -107,11 +108,11 @@ class Comparer:
         )
 
     def linear_square(self, effect: type[Effect]) -> float:
-        """Compute the mean square that an effect leaves if it acts linearly.
+        """Compute the mean square residual with an effect in linear approximation.
 
-        Each of some sizes of the effect changes the simulated points. The least square
-        is that of a multiple of one of these changes, with the other parameters fitted.
-        It costs a tenth of `screened_square`.
+        The effect is simulated at several probes. Each change of the points, times a
+        fitted factor, is combined with a linear fit of the other parameters; the least
+        mean square is returned. It costs a tenth of `screened_square`.
         """
         hypothesis, coarse, start = self._with_effects_on_coarse_mesh((effect,))
         probes = self._probes(hypothesis, effect, start)
@@ -121,7 +122,7 @@ class Comparer:
         least = float(np.mean(unexplained**2))
         for residual, fraction in zip(probed, fractions, strict=True):
             slopes = np.vstack([self._coarse_slopes, residual - unexplained])
-            # the effect goes from absent to the end of its range at most
+            # the factor takes the effect from absent to the end of its range
             low = np.append(-base_start, 0.0)
             high = np.append(1.0 - base_start, 1.0 / fraction)
             normal = slopes @ slopes.T / len(unexplained)
@@ -132,11 +133,11 @@ class Comparer:
         return least
 
     def screened_square(self, effects: Sequence[type[Effect]]) -> float:
-        """Compute the mean square that a few iterations leave on a coarse mesh.
+        """Compute the mean square residual after a few iterations on a coarse mesh.
 
-        They begin at the best of some sizes of the last effect. The error of the mesh
-        at the estimate is subtracted. Otherwise effects that resemble it, such as a
-        gravity that is turned, would rank too high.
+        They start at the best probes of the last effect. The mesh error at the estimate
+        is subtracted. Otherwise effects that resemble it, such as a tilt of gravity,
+        would rank too high.
         """
         hypothesis, coarse, start = self._with_effects_on_coarse_mesh(effects)
         starts = start[None]
@@ -144,31 +145,31 @@ class Comparer:
             probes = self._probes(hypothesis, effects[-1], start)
             squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
             starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
-        # the solver takes each number as independent, and the evidence each block
-        numbers = sum(2 * len(trial.s) for trial in coarse.data.trials)
-        min_gain = SCREENING_MIN_GAIN * numbers / (2 * self.blocks)
+        # the solver assumes independent coordinates, the evidence independent blocks
+        coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
+        min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
         runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
         return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
 
     @cached_property
     def _on_coarse_mesh(self) -> Likelihood:
-        """The trials on a coarse mesh, without its error at the estimate."""
+        """The likelihood on a coarse mesh, corrected for its error at the estimate."""
         coarse, start = self._coarse_likelihood(Hypothesis(self.model))
         return with_estimated_noise(with_corrected_points(coarse, start), start)
 
     @cached_property
     def _coarse_slopes(self) -> np.ndarray:
-        """Slopes of the residuals by each parameter at the estimate, (P, N)."""
+        """Jacobian of the residuals at the estimate, (P, N)."""
         _, start = self._coarse_likelihood(Hypothesis(self.model))
         return linearise(self._on_coarse_mesh, start).slope
 
     def _with_effects_on_coarse_mesh(
         self, effects: Sequence[type[Effect]]
     ) -> tuple[Hypothesis, Likelihood, np.ndarray]:
-        """Add effects to the trials on a coarse mesh.
+        """Add effects to the model on a coarse mesh.
 
-        Returns the hypothesis, its likelihood without the error of the mesh, and the
-        exponents (P,) of the estimate, where the effects are absent.
+        Returns the hypothesis, its likelihood corrected for the mesh error, and the
+        exponents (P,) of the estimate, with the effects absent.
         """
         hypothesis = Hypothesis(self.model, tuple(effects))
         coarse, start = self._coarse_likelihood(hypothesis)
@@ -178,14 +179,15 @@ class Comparer:
             for trial, corrected in zip(coarse.data.trials, known, strict=True):
                 trials.append(replace(trial, points=corrected.points))
             coarse = coarse.with_trials(tuple(trials))
-        else:  # its steps are shorter, and so is the error
+        else:
+            # a string with shorter steps has another error
             coarse = with_corrected_points(coarse, start)
         return hypothesis, with_estimated_noise(coarse, start), start
 
     def _coarse_likelihood(
         self, hypothesis: Hypothesis
     ) -> tuple[Likelihood, np.ndarray]:
-        """Return a hypothesis on a coarse mesh, and the exponents of the estimate."""
+        """Return the likelihood on a coarse mesh, and the exponents of the estimate."""
         assert self.base.estimate is not None
         trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
         likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
@@ -198,13 +200,13 @@ class Comparer:
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
     ) -> np.ndarray:
-        """Choose exponents (C, P) at which an effect acts, near the estimate."""
+        """Draw exponents (PROBES, P) with an effect active, near the estimate."""
         rng = np.random.default_rng([self.seed, PROBES])
         indices = hypothesis.parameter_indices(effect, effect.parameters)
         amplitudes = hypothesis.amplitude_indices(effect)
         probes = np.tile(start, (PROBES, 1))
         probes[:, indices] = rng.uniform(0, 1, (PROBES, len(indices)))
-        # half of them to either end of the range of the first amplitude
+        # half of the probes towards either end of the first amplitude's range
         probes[::2, amplitudes[0]] = 0.0
         probes[1::2, amplitudes[0]] = 1.0
         fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))[:, None]
@@ -215,7 +217,7 @@ class Comparer:
     def fit(
         self, effects: Sequence[type[Effect]], start: Estimate | None
     ) -> Comparison:
-        """Fit the model with effects as if nothing were known, and from a start."""
+        """Fit the model with effects, from new starts and from `start`."""
         base = self.base.estimate
         assert base is not None
         extended = self.model.with_effects(*effects)
@@ -225,17 +227,17 @@ class Comparer:
 
 
 def rms_m(estimate: Estimate) -> float:
-    """Return the residual of the centre-line, root mean square [m]."""
+    """Return the root mean square residual of the centre-line [m]."""
     return float(estimate.fit["rms_after"].iloc[0])
 
 
 def tip_rms_m(estimate: Estimate | None) -> float:
-    """Return the residual of the tip, root mean square [m]; NaN without a fit."""
+    """Return the root mean square residual of the tip [m]; NaN without a fit."""
     return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
 
 
 def most_evident_fit(compared: Iterable[Comparison]) -> Comparison:
-    """Return the most evident comparison among those that were fitted."""
+    """Return the most evident of the fitted comparisons."""
     fitted = [each for each in compared if each.estimate is not None]
     return max(fitted, key=lambda each: each.log_evidence)
 
@@ -247,9 +249,9 @@ def noise_m(observations: Sequence[Observation]) -> float:
 
 
 def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> bool:
-    """Return whether causes that were fitted explain half of the mean square misfit.
+    """Return whether fitted causes explain half of the mean square misfit.
 
-    noise_m: residual that no cause explains, root mean square [m].
+    noise_m: root mean square noise, which is not counted as misfit [m].
     """
     if each.estimate is None or base.estimate is None:
         return False

@@ -1,4 +1,4 @@
-"""Probabilities of the causes that were compared, and the verdict on them."""
+"""Compute probabilities of the compared causes, and decide the verdict."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from stringcast.stages.explain.comparison import (
 )
 from stringcast.stages.explain.noise_ratios import NoiseRatios
 
-NAMED_PROBABILITY = 0.9  # of causes that are named alone
-MIXED_PROBABILITY = 0.05  # of causes whose draws the next plan uses
+NAMED_PROBABILITY = 0.9  # from which causes are named
+MIXED_PROBABILITY = 0.05  # from which the next plan uses draws of causes
 TIME_IS_UP = "the processor time was used up before all likely causes were fitted"
 
 
@@ -29,12 +29,12 @@ def posterior_probabilities(
 ) -> dict[tuple[str, ...], float]:
     """Compute the probability of all compared causes, the most probable first.
 
-    Effects are active independently of each other before the trials.
+    A priori, effects are independent.
     """
     prior_odds = (1 - PRIOR_NO_EFFECT) / candidates / PRIOR_NO_EFFECT
     log_evidence = {}
     for causes, each in compared.items():
-        # that of one cause is counted in any case
+        # `effect_probabilities` includes the prior odds of one cause
         further = max(len(causes) - 1, 0) * np.log(prior_odds)
         log_evidence[causes] = np.array([each.log_evidence + further])
     probabilities = effect_probabilities(log_evidence, candidates)
@@ -52,9 +52,9 @@ def decide(
 ) -> tuple[str, str]:
     """Decide the verdict, and state it in words.
 
-    noise_ratios: of the most probable causes if they explain half of the misfit, else
-    of no cause. is_checked: whether rivals of these causes were sought, or earlier
-    trials showed them.
+    noise_ratios: ratios of the most probable causes if they explain half of the misfit,
+    else of no cause. is_checked: whether rivals were compared, or earlier trials showed
+    the same causes.
     """
     base = compared[NO_CAUSE]
     assert base.estimate is not None
@@ -72,17 +72,22 @@ def decide(
     if not is_complete:
         return "undecided", f"No cause was found; {TIME_IS_UP}."
     base_mm = MM_PER_M * tip_rms_m(base.estimate)
-    is_near = tip_rms_m(base.estimate) <= tolerance_m or noise_ratios.leave_mesh_error
-    if not is_near:
+    has_small_misfit = (
+        tip_rms_m(base.estimate) <= tolerance_m or noise_ratios.leave_only_mesh_error
+    )
+    if not has_small_misfit:
         return (
             "unknown",
-            f"No single effect explains why the tip is {base_mm:.1f} mm off.",
+            f"No single effect explains the tip's misfit of {base_mm:.1f} mm.",
         )
-    if not noise_ratios.are_noise:
-        return "unknown", "No single effect explains why more than noise is left."
+    if not noise_ratios.leave_only_noise:
+        return (
+            "unknown",
+            "No single effect explains why the residual exceeds the noise.",
+        )
     return (
         "none",
-        "No cause is needed: the model leaves only noise where it is resolved.",
+        "No cause is needed: the model leaves only noise where the mesh resolves it.",
     )
 
 
@@ -95,13 +100,13 @@ def _decide_about(
     noise_ratios: NoiseRatios,
     is_checked: bool,
 ) -> tuple[str, str]:
-    """Decide whether the most probable causes, which explain much, are named."""
+    """Decide whether to name the most probable causes, which explain half or more."""
     left_mm = MM_PER_M * tip_rms_m(best.estimate)
     base_mm = MM_PER_M * tip_rms_m(base.estimate)
     name = describe_causes(best.causes)
     effect = f"With {name} the tip is {left_mm:.1f} mm off instead of {base_mm:.1f}"
-    is_near = tip_rms_m(best.estimate) <= tolerance_m
-    is_explained = is_near or noise_ratios.leave_mesh_error
+    has_small_misfit = tip_rms_m(best.estimate) <= tolerance_m
+    is_explained = has_small_misfit or noise_ratios.leave_only_mesh_error
     if not is_complete and not is_explained:
         return "undecided", f"{effect}; {TIME_IS_UP}."
     probability = probabilities[best.causes]
@@ -113,10 +118,10 @@ def _decide_about(
         return "candidates", f"{effect}, but others may act: {', '.join(others)}."
     effect += f" (probability {probability:.2f})"
     if not is_explained:
-        return "partial", f"{effect}; something else is left."
+        return "partial", f"{effect}; the rest is not explained."
     caveat = ""
-    if not noise_ratios.are_noise:
-        caveat = "more than noise is left: others may act"
+    if not noise_ratios.leave_only_noise:
+        caveat = "the residual exceeds the noise: other causes may act"
     elif not noise_ratios.explain_half:
         caveat = (
             "less than half of the misfit is explained where the error of the mesh is "
@@ -126,6 +131,6 @@ def _decide_about(
         caveat = TIME_IS_UP
     if caveat:
         return "candidates", f"{effect}, but {caveat}."
-    if not is_near:
-        effect += "; what is left is the error of the mesh"
+    if not has_small_misfit:
+        effect += "; the rest is the error of the mesh"
     return "cause", f"{effect}."

@@ -1,7 +1,7 @@
-"""The quick comparison of causes: what the loop learns from its casts.
+"""Quick search for the causes of surprising trials, between the casts of a loop.
 
-The most evident causes of trials that surprise are found within a budget of processor
-time. A diagnosis compares more carefully and takes minutes.
+It keeps to a budget of processor time. A diagnosis compares more carefully and takes
+minutes.
 """
 
 from __future__ import annotations
@@ -68,42 +68,42 @@ def explain(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Explanation:
-    """Find the causes of trials that surprise or that the estimate does not explain.
+    """Find causes of trials that are a surprise or that the estimate does not explain.
 
     Parameters
     ----------
     model : Model
-        Without the causes.
+        Model without causes.
     observations : sequence of Observation
         The trials.
     estimate : Estimate
-        Of the model from these trials.
+        Estimate of the model from these trials.
     previous : Explanation or None
-        Of earlier trials; its causes are fitted first.
+        Explanation of earlier trials; its causes are fitted first.
     is_surprising : bool
-        Whether the last trial was not within what was predicted.
+        Whether the last trial disagreed with its prediction.
     tolerance_m : float
-        Tip misfit that does not matter [m].
+        Tip misfit that is small [m].
     seed, cast_number : int
-        Of the random starts.
+        Seeds of the random starts.
     seconds : float
         Processor time after which no further cause is fitted [s].
     finalists : int
-        Number of the most evident causes, which are fitted as if nothing were known.
+        Largest number of effects that are fitted after a screening.
     starts, screening, iterations, matching
-        Of such a fit, as of `least_squares.estimate`.
+        Settings of a fit, as in `least_squares.estimate`.
     progress : callable
-        Called with the share of the budget that is used.
+        Called with the used share of the budget.
 
     Returns
     -------
     Explanation
-        The estimate that the next plan uses, with causes and their probabilities.
+        Estimate for the next plan, with causes and their probabilities.
     """
     budget = Budget(seconds, progress)
     earlier = [] if previous is None else earlier_causes(previous)
     if not is_surprising and not earlier:
-        reason = reason_to_seek_no_cause(model, observations, estimate)
+        reason = reason_for_no_search(model, observations, estimate)
         if reason:
             return estimate_without_causes(estimate, reason)
 
@@ -136,7 +136,7 @@ def explain(
     best = compared[next(iter(probabilities))]
     explaining = best if explains_half(best, base) else base
     noise_ratios = search.noise_ratios_of(explaining)
-    # with three effects, false ones may fit a few trials: others are compared first
+    # several false effects together may fit a few trials, so rivals must be compared
     is_named = previous is not None and previous.named_causes == best.causes
     are_rivals_compared = bool(search.extended) and not search.is_cut_short
     is_checked = (
@@ -163,15 +163,15 @@ def explain(
     return build_explanation(model, compared, probabilities, finding, seed)
 
 
-def reason_to_seek_no_cause(
+def reason_for_no_search(
     model: Model, observations: Sequence[Observation], estimate: Estimate
 ) -> str:
-    """Return why an estimate needs no cause, or nothing if it may need one."""
+    """Return why an estimate needs no cause; empty if it may need one."""
     if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
         return "The model explains the trials"
     noise_ratios = compare_with_noise(model, observations, [estimate])
-    if noise_ratios.leave_mesh_error:
-        return "The model leaves the error of its mesh"
+    if noise_ratios.leave_only_mesh_error:
+        return "The model leaves only the error of its mesh"
     return ""
 
 
@@ -182,9 +182,9 @@ def are_confirmed(
 ) -> bool:
     """Return whether causes were likely before, and leave only noise in whole trials.
 
-    What the mesh does not resolve confirms no cause. A turned grasp passed for wind on
-    string A: until the string whipped it left only noise, and of whole casts 3 times as
-    much.
+    Frames that the mesh does not resolve count as well. On string A, a rotated grasp
+    was mistaken for wind: it left only noise until the string whipped, but 3 times the
+    noise in whole casts.
     """
     if best.causes not in earlier or best.estimate is None:
         return False
@@ -192,7 +192,7 @@ def are_confirmed(
 
 
 def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
-    """List the causes that are fitted first: those that were likely."""
+    """List the causes that were likely before; these are fitted first."""
     likely = []
     for causes, probability in previous.cause_sets.items():
         if causes and probability >= MIXED_PROBABILITY:
@@ -203,10 +203,10 @@ def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
 def next_most_evident(
     previous: Explanation, likely: Sequence[tuple[str, ...]], comparer: Comparer
 ) -> list[Finalist]:
-    """Return the most evident causes of earlier trials other than the likely ones.
+    """Return the most evident causes of earlier trials after the likely ones.
 
-    They are fitted again if no effect helps in addition to the likely ones: an effect
-    that is added to them may explain more. So they are less than MAX_CAUSES.
+    They are fitted if no effect helps in addition to the likely ones, so that effects
+    can be added to them. They are therefore fewer than MAX_CAUSES.
     """
     if not likely:
         return []
@@ -223,12 +223,12 @@ def next_most_evident(
 
 
 def estimate_without_causes(estimate: Estimate, reason: str) -> Explanation:
-    """Return the estimate without causes: nothing needs an explanation."""
+    """Build the explanation of trials that need no cause."""
     finding = {
         "verdict": "not asked",
         "candidates": 0,
         "fitted": 0,
-        "sentence": f"{reason}; no cause was sought.",
+        "sentence": f"{reason}; no cause was searched for.",
     }
     table = EXPLANATION_SUMMARY.check(pd.DataFrame([finding]))
     return Explanation(**estimate_tables(estimate), finding=table)
@@ -246,7 +246,7 @@ def build_explanation(
     finding: Mapping[str, object],
     seed: int,
 ) -> Explanation:
-    """Build the artifact from the most probable fit and draws of all probable ones."""
+    """Build the artifact from the best fit, with draws from all probable fits."""
     mixed: dict[tuple[str, ...], tuple[float, Estimate]] = {}
     for causes, probability in probabilities.items():
         fit = compared[causes].estimate
@@ -279,7 +279,7 @@ def build_explanation(
 def with_absent_effects(
     model: Model, estimate: Estimate, names: Sequence[str]
 ) -> Estimate:
-    """Add the parameters of effects that are absent from an estimate."""
+    """Add the parameters of effects that an estimate does not have, as absent."""
     known = set(estimate.parameters["name"])
     rows = [estimate.parameters]
     candidates = estimate.candidates
@@ -313,9 +313,9 @@ def with_absent_effects(
 def mix_draws(
     mixed: Mapping[tuple[str, ...], tuple[float, Estimate]], whole: Estimate, seed: int
 ) -> pd.DataFrame:
-    """Draw from several estimates as often as each is probable.
+    """Mix draws of several estimates in proportion to their probability.
 
-    Parameters that an estimate does not have are where their effect is absent.
+    Effects that an estimate does not have are absent in its draws.
     """
     absent = whole.values()
     for causes, (_, fit) in mixed.items():

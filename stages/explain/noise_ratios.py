@@ -1,4 +1,4 @@
-"""What causes leave, compared with the noise where the mesh resolves the string."""
+"""Compare residuals with the noise where the mesh resolves the string."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.extension import extend_model
 from stringcast.stages.model.model import Model
 
-# Of the residual to the noise, where causes are named: right ones leave 1.00 to 1.05,
-# others, which stand in for two of three causes, 1.18 to 1.21
+# Residual over noise up to which causes are named. Right causes give 1.00 to 1.05, two
+# wrong ones in place of three 1.18 to 1.21.
 MAX_NOISE_RATIO = 1.1
-# Of the error of the mesh to the noise. A quarter of it may be left after correction.
+# Mesh error over noise up to which a string is resolved; a quarter may remain after
+# correction
 MAX_MESH_ERROR_RATIO = 1.0
 CORRECTION_PASSES = 3
 
@@ -42,57 +43,58 @@ class NoiseRatios:
 
     Parameters
     ----------
-    without : of the model as it was
-    left : of the model with causes
-    mesh_fraction : of the mean square that causes leave in whole trials beyond noise,
-        as much as the error of the mesh has
+    without_causes : ratio of the original model
+    with_causes : ratio of the model with causes
+    mesh_fraction : mean square mesh error over the mean square residual beyond noise,
+        with causes and in whole trials
     """
 
-    without: float
-    left: float
+    without_causes: float
+    with_causes: float
     mesh_fraction: float = 0.0
 
     @property
-    def are_noise(self) -> bool:
-        """Whether nothing but noise is left."""
-        return self.left < MAX_NOISE_RATIO
+    def leave_only_noise(self) -> bool:
+        """Whether only noise is left."""
+        return self.with_causes < MAX_NOISE_RATIO
 
     @property
     def explain_half(self) -> bool:
         """Whether the causes explain half of the mean square misfit."""
-        return (self.left / self.without) ** 2 <= 1 - MIN_EXPLAINED_FRACTION
+        square_ratio = (self.with_causes / self.without_causes) ** 2
+        return square_ratio <= 1 - MIN_EXPLAINED_FRACTION
 
     @property
-    def leave_mesh_error(self) -> bool:
-        """Whether nothing but noise and the error of the mesh is left."""
-        return self.are_noise and self.mesh_fraction >= MIN_EXPLAINED_FRACTION
+    def leave_only_mesh_error(self) -> bool:
+        """Whether only noise and the error of the mesh are left."""
+        return self.leave_only_noise and self.mesh_fraction >= MIN_EXPLAINED_FRACTION
 
     @property
     def explain_all(self) -> bool:
-        """Whether the causes explain the misfit and leave nothing but noise."""
-        return self.are_noise and self.explain_half
+        """Whether the causes explain half of the misfit and leave only noise."""
+        return self.leave_only_noise and self.explain_half
 
 
 def compare_with_noise(
     model: Model, observations: Sequence[Observation], estimates: Sequence[Estimate]
 ) -> NoiseRatios:
-    """Compare what estimates leave with the noise.
+    """Compare the residuals of estimates with the noise.
 
-    The first estimate is of the model without causes, the last of that with causes.
-    They may be the same. The end of a trial does not count if the mesh of one of them
-    errs by more than the noise there. False parameters without causes may err so much
-    that hardly anything counts. So nothing more may be left where the model with causes
-    is resolved.
+    The first estimate is without causes, the last with causes; they may be the same. A
+    trial counts only until the mesh error of either exceeds the noise. Without causes,
+    wrong parameters may end this early. So the larger residual counts for the last
+    estimate: until then, or as long as it is resolved itself.
     """
     fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
     counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
-    where_both = np.min(counts, axis=0)  # frames of each trial
-    residuals = [first_frames_residual(*fit, where_both) for fit in fits]
-    left = residuals[-1]
-    if (counts[-1] > where_both).any():
-        left = max(left, first_frames_residual(*fits[-1], counts[-1]))
+    resolved_counts = np.min(counts, axis=0)  # frames of each trial
+    residuals = [first_frames_residual(*fit, resolved_counts) for fit in fits]
+    with_causes = residuals[-1]
+    if (counts[-1] > resolved_counts).any():
+        own_residual = first_frames_residual(*fits[-1], counts[-1])
+        with_causes = max(with_causes, own_residual)
     share = mesh_fraction(*fits[-1], estimates[-1], observations)
-    return NoiseRatios(residuals[0], left, share)
+    return NoiseRatios(residuals[0], with_causes, share)
 
 
 def mesh_fraction(
@@ -101,10 +103,9 @@ def mesh_fraction(
     estimate: Estimate,
     observations: Sequence[Observation],
 ) -> float:
-    """Compare the error of the mesh with what an estimate leaves beyond noise.
+    """Compute the mean square mesh error over the mean square residual beyond noise.
 
-    Returns the ratio of mean squares; NaN where the finer string diverges, and 0 if the
-    estimate has subtracted the error.
+    NaN if the finer string diverges, and 0 if the estimate subtracted the error.
     """
     if estimate.mesh_error_m > 0:
         return 0.0
@@ -116,7 +117,7 @@ def mesh_fraction(
 def first_frames_residual(
     likelihood: Likelihood, chi: np.ndarray, frames: np.ndarray
 ) -> float:
-    """Compute the residual over sigma in the first frames (K,) of each trial."""
+    """Compute the residual over sigma in the first `frames` (K,) of K trials."""
     pairs = zip(likelihood.data.trials, frames, strict=True)
     trials = [trial.first_frames(int(count)) for trial, count in pairs]
     return corrected_residual(likelihood.with_trials(trials), chi)
@@ -125,7 +126,7 @@ def first_frames_residual(
 def likelihood_at(
     model: Model, observations: Sequence[Observation], estimate: Estimate
 ) -> tuple[Likelihood, np.ndarray]:
-    """Return the likelihood of the model of an estimate, and its exponents (P,)."""
+    """Return the likelihood of an estimate's model, and its exponents (P,)."""
     extended = extend_model(model, estimate.values())
     trials = [prepare_trial(extended, observation) for observation in observations]
     fitted = estimate.parameters.set_index("name")["chi"]
@@ -136,9 +137,9 @@ def likelihood_at(
 def corrected_residual(likelihood: Likelihood, chi: np.ndarray) -> float:
     """Compute the residual over sigma without the error of the mesh.
 
-    That error is subtracted, and the parameters (P,), which compensated for it, are
-    fitted again, in turn. The least residual counts: with friction the error of a
-    string that is fitted well is hardly known.
+    In turn, the error is subtracted and the parameters (P,), which compensated for it,
+    are fitted again. The least residual counts, because with friction the mesh error is
+    hardly known.
     """
     least = rms(likelihood.residuals(chi[None])[0])
     for _ in range(CORRECTION_PASSES):

@@ -1,4 +1,4 @@
-"""One explanation of a run."""
+"""Run the stage explain."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def run(
     surprise: Surprise,
     previous: Explanation | None,
 ) -> Explanation:
-    """Explain trials, cut where their string touches an obstacle."""
+    """Explain trials until their string touches an obstacle."""
     setup = call.setup
     observations = [trim_at_contact(t, setup.obstacles) for t in trials.observations]
     target = setup.target

@@ -1,4 +1,4 @@
-"""Causes of surprising casts: named where they explain, and never without a reason."""
+"""Causes of surprising casts are named if they explain the trials, and only then."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -48,78 +48,86 @@ SWING = swing(duration=0.3)
 EXPLAIN = "stringcast.stages.explain.explain"
 
 
-def fitted(names, log_evidence, rms_m):
+def fitted_comparison(names, log_evidence, rms_m):
     fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
     return Comparison(tuple(names.split()), log_evidence, SimpleNamespace(fit=fit))
 
 
-def decided(*found, is_complete=True, ratio=1.0, ratio_without=10.0, mesh_fraction=0.0):
-    """Return verdict and sentence where the model as it was leaves 40 mm.
+def verdict_on(
+    *found, is_complete=True, ratio=1.0, ratio_without=10.0, mesh_fraction=0.0
+):
+    """Return verdict and sentence if the residual without causes is 40 mm.
 
-    The ratios are those of the residual to the noise with the found causes and without.
+    The ratios are residuals over noise, with the found causes and without.
     """
-    compared = {each.causes: each for each in (fitted("", 0.0, 0.04), *found)}
+    compared = {
+        each.causes: each for each in (fitted_comparison("", 0.0, 0.04), *found)
+    }
     probabilities = posterior_probabilities(compared, CANDIDATES)
     ratios = NoiseRatios(ratio_without, ratio, mesh_fraction)
     return decide(compared, probabilities, TOLERANCE_M, is_complete, ratios)
 
 
-def test_a_cause_that_explains_is_named_even_if_the_search_was_cut_short():
+def test_explaining_cause_is_named_after_an_incomplete_search():
     for is_complete in (True, False):
-        verdict, sentence = decided(
-            fitted("wind", 80.0, 0.001), is_complete=is_complete
+        verdict, sentence = verdict_on(
+            fitted_comparison("wind", 80.0, 0.001), is_complete=is_complete
         )
         assert verdict == "cause"
         assert "wind" in sentence
 
 
-def test_a_cause_that_leaves_much_is_not_named_if_others_were_not_fitted():
-    found = fitted("density_taper", 38.0, 0.025)
-    assert decided(found)[0] == "partial"
-    verdict, sentence = decided(found, is_complete=False)
+def test_partial_cause_is_undecided_after_an_incomplete_search():
+    found = fitted_comparison("density_taper", 38.0, 0.025)
+    assert verdict_on(found)[0] == "partial"
+    verdict, sentence = verdict_on(found, is_complete=False)
     assert verdict == "undecided"
     assert "time was used up" in sentence
 
 
-def test_a_cause_that_leaves_only_the_error_of_the_mesh_is_named():
-    """Wind left the tip 21 mm off, of which a finer mesh showed nothing."""
-    found = fitted("wind", 38.0, 0.025)
+def test_cause_that_leaves_only_mesh_error_is_named():
+    found = fitted_comparison("wind", 38.0, 0.025)
     for is_complete in (True, False):
-        verdict, sentence = decided(found, is_complete=is_complete, mesh_fraction=0.8)
+        verdict, sentence = verdict_on(
+            found, is_complete=is_complete, mesh_fraction=0.8
+        )
         assert verdict == "cause"
-        assert "what is left is the error of the mesh" in sentence
-    assert decided(found, mesh_fraction=0.3)[0] == "partial"
-    assert decided(found, ratio=1.14, mesh_fraction=0.8)[0] == "partial"
+        assert "the rest is the error of the mesh" in sentence
+    assert verdict_on(found, mesh_fraction=0.3)[0] == "partial"
+    assert verdict_on(found, ratio=1.14, mesh_fraction=0.8)[0] == "partial"
 
 
-def test_a_cause_that_explains_little_is_not_named():
-    little = fitted("density_taper", 9.0, 0.035)
-    assert decided(little)[0] == "unknown"
-    assert decided(little, is_complete=False)[0] == "undecided"
+def test_cause_that_explains_little_is_not_named():
+    little = fitted_comparison("density_taper", 9.0, 0.035)
+    assert verdict_on(little)[0] == "unknown"
+    assert verdict_on(little, is_complete=False)[0] == "undecided"
 
 
-def test_a_cause_that_explains_only_what_the_mesh_does_not_resolve_is_not_named():
-    """Where the mesh resolves the string, the model as it was leaves little more."""
-    found = fitted("density_taper", 80.0, 0.001)
-    verdict, sentence = decided(found, ratio_without=1.4)
+def test_cause_must_explain_half_of_the_resolved_misfit():
+    """Where the mesh resolves the string, the residual is hardly larger without it."""
+    found = fitted_comparison("density_taper", 80.0, 0.001)
+    verdict, sentence = verdict_on(found, ratio_without=1.4)
     assert verdict == "candidates"
     assert "less than half of the misfit is explained" in sentence
-    assert decided(found, ratio_without=1.5)[0] == "cause"
+    assert verdict_on(found, ratio_without=1.5)[0] == "cause"
 
 
-def test_a_cause_that_leaves_more_than_noise_is_not_named():
-    """It explains the tip to 1 mm, but what is left has another cause."""
-    found = fitted("density_taper", 80.0, 0.001)
-    assert decided(found, ratio=1.08)[0] == "cause"
-    verdict, sentence = decided(found, ratio=1.14)
+def test_cause_with_residual_above_noise_is_not_named():
+    """It explains the tip to 1 mm, but the residual has another cause."""
+    found = fitted_comparison("density_taper", 80.0, 0.001)
+    assert verdict_on(found, ratio=1.08)[0] == "cause"
+    verdict, sentence = verdict_on(found, ratio=1.14)
     assert verdict == "candidates"
     assert "density taper" in sentence
-    assert "more than noise is left" in sentence
+    assert "the residual exceeds the noise" in sentence
 
 
-def test_more_than_noise_without_an_explanation_is_unknown():
-    """The tip of a slow trial may be near all the same."""
-    base, little = fitted("", 0.0, 0.01), fitted("density_taper", 9.0, 0.009)
+def test_unexplained_residual_above_noise_is_unknown():
+    """In a slow trial the tip's misfit may still be small."""
+    base, little = (
+        fitted_comparison("", 0.0, 0.01),
+        fitted_comparison("density_taper", 9.0, 0.009),
+    )
     compared = {each.causes: each for each in (base, little)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
     for ratio, expected in ((1.08, "none"), (1.14, "unknown")):
@@ -128,24 +136,24 @@ def test_more_than_noise_without_an_explanation_is_unknown():
         assert verdict == expected
 
 
-def explanation(verdict):
-    """Return an explanation that leaves 5 mm; without causes 40 mm are left."""
+def make_explanation(verdict):
+    """Return an explanation with a residual of 5 mm, and of 40 mm without causes."""
     nothing = pd.DataFrame()
     fit = pd.DataFrame([{"rms_after": 0.005}])
     finding = pd.DataFrame([{"verdict": verdict, "rms_without": 0.04}])
     return Explanation(nothing, nothing, nothing, fit, finding=finding)
 
 
-def earlier(probabilities, verdict):
-    """Return an explanation in which the last causes were not fitted."""
+def explanation_with(probabilities, verdict):
+    """Return an explanation with these probabilities; its last causes are not fitted."""
     table = {"effects": list(probabilities), "probability": probabilities.values()}
     explanations = pd.DataFrame(table)
     explanations["log_evidence"] = np.log(explanations["probability"])
     explanations["fitted"] = np.arange(len(explanations)) < len(explanations) - 1
-    return replace(explanation(verdict), explanations=explanations)
+    return replace(make_explanation(verdict), explanations=explanations)
 
 
-def test_the_next_most_evident_causes_are_fitted_after_the_likely_ones():
+def test_next_most_evident_causes_follow_the_likely_ones():
     probabilities = {
         "gravity_direction tip_mass": 0.9,
         "gravity_direction rest_curvature": 0.1,
@@ -154,25 +162,25 @@ def test_the_next_most_evident_causes_are_fitted_after_the_likely_ones():
         "tip_mass": 1e-20,
         "clamp": 1e-30,
     }
-    previous = earlier(probabilities, "candidates")
+    previous = explanation_with(probabilities, "candidates")
     *likely, _, following = [tuple(names.split()) for names in probabilities][:4]
     assert earlier_causes(previous) == likely
     (finalist,) = next_most_evident(previous, likely, None)
     assert finalist.comparison.causes == following
     assert tuple(effect.name for effect in finalist.effects) == following
     assert not next_most_evident(previous, [], None)
-    everything = earlier(dict.fromkeys(probabilities, 0.2), "candidates")
+    everything = explanation_with(dict.fromkeys(probabilities, 0.2), "candidates")
     assert not next_most_evident(everything, earlier_causes(everything), None)
 
 
-def test_causes_that_leave_much_are_not_trusted_on_other_motions():
+def test_model_error_of_partial_causes_is_that_without_them():
     for verdict in ("partial", "undecided", "unknown"):
-        assert explanation(verdict).model_error_m == 0.04
+        assert make_explanation(verdict).model_error_m == 0.04
     for verdict in ("cause", "candidates", "none"):
-        assert explanation(verdict).model_error_m == 0.005
+        assert make_explanation(verdict).model_error_m == 0.005
 
 
-RMS_MM = {  # of the centre-line that causes leave; others leave what theirs leave
+RMS_MM = {  # residual with these causes; further causes change nothing
     "": 10.0,
     "tip_mass": 4.4,
     "wind": 5.3,
@@ -183,35 +191,35 @@ RMS_MM = {  # of the centre-line that causes leave; others leave what theirs lea
 }
 
 
-def left_mm(causes):
-    """Return the least that is left by causes of RMS_MM among the given ones."""
+def residual_mm(causes):
+    """Return the least residual in RMS_MM of causes among the given ones."""
     left = [mm for known, mm in RMS_MM.items() if set(known.split()) <= set(causes)]
     return min(left)
 
 
 @pytest.fixture
 def search(monkeypatch):
-    """Return a function that begins a search by RMS_MM, and what was ranked and fitted.
+    """Return a function that starts a search with residuals of RMS_MM and 1 mm noise.
 
-    Noise alone leaves 1 mm.
+    Returns also the causes that were screened and fitted.
     """
     ranked, fits = [], []
 
     def screen(comparer, effects):
         causes = [*comparer.base.causes, *(effect.name for effect in effects)]
         ranked.append(tuple(sorted(causes)))
-        return left_mm(causes) ** 2
+        return residual_mm(causes) ** 2
 
     def fit(comparer, effects, start):
         (effect,) = effects
         causes = tuple(sorted([*comparer.base.causes, effect.name]))
         fits.append(causes)
-        before, left = left_mm(comparer.base.causes), left_mm(causes)
-        estimate = fitted("", 0.0, 1e-3 * left).estimate
+        before, left = residual_mm(comparer.base.causes), residual_mm(causes)
+        estimate = fitted_comparison("", 0.0, 1e-3 * left).estimate
         return comparer.comparison(effects, (left / before) ** 2, estimate)
 
     def compare(search, comparison):
-        return NoiseRatios(10.0, left_mm(comparison.causes))
+        return NoiseRatios(10.0, residual_mm(comparison.causes))
 
     monkeypatch.setattr(
         Comparer, "with_base", lambda self, base: replace(self, base=base)
@@ -220,14 +228,14 @@ def search(monkeypatch):
     monkeypatch.setattr(
         Comparer,
         "linear_square",
-        lambda self, effect: left_mm([*self.base.causes, effect.name]) ** 2,
+        lambda self, effect: residual_mm([*self.base.causes, effect.name]) ** 2,
     )
     monkeypatch.setattr(Comparer, "fit", fit)
     monkeypatch.setattr(CauseSearch, "noise_ratios_of", compare)
 
     def begin(names, seconds=1e6):
         points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
-        base = fitted("", 0.0, 0.01)
+        base = fitted_comparison("", 0.0, 0.01)
         comparer = Comparer(None, [SimpleNamespace(points=points)], base, 30, None, 0)
         budget = Budget(seconds, lambda share: None)
         effects = find_effects(names.split())
@@ -239,19 +247,19 @@ def search(monkeypatch):
 ALL_FOUR = "gravity_direction rest_curvature tip_mass wind"
 
 
-def test_three_causes_are_found_though_two_others_explain_more_than_two_of_them(search):
-    """Gravity stands in for wind and set, and with it in the model neither helps."""
+def test_three_causes_are_found_though_a_wrong_pair_explains_more_at_first(search):
+    """Gravity imitates wind and set together; with it, neither of them helps."""
     searched = search.begin(ALL_FOUR)
     searched.search(TOLERANCE_M)
     probabilities = posterior_probabilities(searched.compared, CANDIDATES)
     three = ("rest_curvature", "tip_mass", "wind")
     assert next(iter(probabilities)) == three
-    # 1.0 of 1.41 mm are left, more than half of the mean square, but all is noise
+    # the third cause explains less than half of the mean square; the rest is noise
     assert (RMS_MM[" ".join(three)] / RMS_MM["tip_mass wind"]) ** 2 > 0.5
     assert len(search.fits) == len(set(search.fits))
 
 
-def test_causes_are_sought_anew_where_earlier_ones_leave_more_than_noise(search):
+def test_search_continues_from_earlier_causes_with_residual_above_noise(search):
     searched = search.begin(ALL_FOUR)
     earlier = find_effects(["gravity_direction"]), find_effects(["tip_mass"])
     base = searched.comparer.base
@@ -263,12 +271,12 @@ def test_causes_are_sought_anew_where_earlier_ones_leave_more_than_noise(search)
 
 
 def finalists(searched):
-    """Return the causes that wait for a fit."""
+    """Return the causes of the finalists."""
     return [each.comparison.causes for each in searched.waiting]
 
 
 def test_effects_are_added_before_rivals_are_fitted(search):
-    """Three causes are then found in three fits."""
+    """Three causes are found in three fits."""
     search.begin("rest_curvature tip_mass wind clamp").search(TOLERANCE_M)
     assert search.fits[:3] == [
         ("tip_mass",),
@@ -277,10 +285,8 @@ def test_effects_are_added_before_rivals_are_fitted(search):
     ]
 
 
-def test_a_rival_that_might_leave_only_noise_is_fitted_before_effects_are_added(
-    search, monkeypatch
-):
-    """The coarse mesh may err by half of what the best gains."""
+def test_rival_that_might_leave_only_noise_is_fitted_first(search, monkeypatch):
+    """The coarse mesh may err by half of the best gain."""
     monkeypatch.setitem(RMS_MM, "gravity_direction", 1.5)
     monkeypatch.setitem(RMS_MM, "wind", 1.8)
     search.begin(ALL_FOUR).search(TOLERANCE_M)
@@ -291,7 +297,7 @@ def test_a_rival_that_might_leave_only_noise_is_fitted_before_effects_are_added(
 def test_effects_are_added_to_earlier_causes_if_these_explain_half(
     search, cause, first
 ):
-    """A clamp leaves 8 of 10 mm, and wind leaves 5."""
+    """Of 10 mm, a clamp leaves 8 and wind 5."""
     searched = search.begin(ALL_FOUR)
     known = searched.comparer.fit(find_effects([cause]), None)
     searched.compared[cause,] = searched.fitted[cause,] = known
@@ -299,24 +305,24 @@ def test_effects_are_added_to_earlier_causes_if_these_explain_half(
     assert search.ranked[0] == first
 
 
-def test_what_is_far_behind_is_not_fitted(search):
-    """A clamp explains far less than a heavy tip on the coarse mesh already."""
+def test_effect_with_large_deficit_is_not_fitted(search):
+    """On the coarse mesh, a clamp explains far less than a heavy tip."""
     searched = search.begin("tip_mass wind clamp")
     searched.add_effect_to(searched.comparer.base)
     assert finalists(searched) == [("tip_mass",), ("wind",)]
     assert searched.compared["clamp",].estimate is None
 
 
-def test_a_rival_is_fitted_though_it_is_behind_on_the_coarse_mesh(search, monkeypatch):
-    """A slow look shows wind as it shows a tilt of gravity; the coarse mesh errs."""
+def test_rival_with_small_deficit_is_fitted(search, monkeypatch):
+    """In a slow look, wind resembles a tilt of gravity."""
     monkeypatch.setitem(RMS_MM, "gravity_direction", 1.0)
     monkeypatch.setitem(RMS_MM, "wind", 1.8)
     search.begin("gravity_direction wind clamp").search(TOLERANCE_M)
     assert search.fits == [("gravity_direction",), ("wind",)]
 
 
-def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypatch):
-    """The coarse mesh shows little of either: the fits gain 40 of the log evidence."""
+def test_deficit_is_measured_on_the_coarse_mesh(search, monkeypatch):
+    """The coarse mesh hardly shows two causes whose fits gain log evidence of 40."""
     monkeypatch.setattr(Comparer, "screened_square", lambda *given: 1.0)
     searched = search.begin("tip_mass wind")
     searched.search(TOLERANCE_M)
@@ -324,7 +330,7 @@ def test_a_cause_is_fitted_though_the_fit_of_another_gains_much(search, monkeypa
     assert searched.compared["wind",].log_evidence > 30
 
 
-def test_a_search_that_the_time_cut_short_is_known(search):
+def test_search_reports_that_time_ended_it(search):
     searched = search.begin(ALL_FOUR)
     searched.add_effect_to(searched.comparer.base)
     searched.budget.seconds = 0.0
@@ -337,10 +343,10 @@ def test_a_search_that_the_time_cut_short_is_known(search):
     assert searched.is_complete
 
 
-def test_several_causes_are_not_named_before_rivals_were_compared():
-    """Gravity, nonlinear bending and a heavy tip stood for a set, wind and this tip."""
-    found = fitted("gravity_direction tip_mass", 80.0, 0.001)
-    compared = {each.causes: each for each in (fitted("", 0.0, 0.04), found)}
+def test_several_causes_are_not_named_before_rivals_are_compared():
+    """Gravity, nonlinear bending and a heavy tip once imitated set, wind and this tip."""
+    found = fitted_comparison("gravity_direction tip_mass", 80.0, 0.001)
+    compared = {each.causes: each for each in (fitted_comparison("", 0.0, 0.04), found)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
     given = compared, probabilities, TOLERANCE_M, True, NoiseRatios(10.0, 1.0)
     assert decide(*given)[0] == "cause"
@@ -349,18 +355,20 @@ def test_several_causes_are_not_named_before_rivals_were_compared():
     assert "time was used up" in sentence
 
 
-def test_causes_are_confirmed_by_further_trials_that_they_explain_as_a_whole():
-    """A turned grasp stood for wind in two casts, where the mesh resolves the string.
+def test_causes_are_confirmed_by_whole_trials():
+    """A rotated grasp imitated wind in two casts where the mesh resolves the string.
 
-    It left 3 mm of the whole casts, and wind leaves the noise of 1 mm.
+    In whole casts it left 3 mm, and wind leaves the noise of 1 mm.
     """
     points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
     trials = [SimpleNamespace(points=points)]
     causes = ("rest_curvature", "tip_mass", "wind")
-    right = fitted(" ".join(causes), 300.0, 1.05e-3)
+    right = fitted_comparison(" ".join(causes), 300.0, 1.05e-3)
     assert are_confirmed(right, [causes], trials)
     assert not are_confirmed(right, [("tip_mass", "wind")], trials)
-    assert not are_confirmed(fitted(" ".join(causes), 200.0, 3e-3), [causes], trials)
+    assert not are_confirmed(
+        fitted_comparison(" ".join(causes), 200.0, 3e-3), [causes], trials
+    )
 
 
 @pytest.mark.parametrize(
@@ -371,22 +379,22 @@ def test_causes_are_confirmed_by_further_trials_that_they_explain_as_a_whole():
         ("cause", 0.003, "cause"),
     ],
 )
-def test_several_causes_are_not_named_if_nothing_was_compared(
+def test_several_causes_need_compared_rivals_or_confirmation(
     explain_and_list, before, left_m, expected
 ):
-    """A tilt of gravity stood for wind in the look, and left 1.4 mm of the cast.
+    """A tilt of gravity imitated wind in the look, and left 1.4 mm in the cast.
 
-    Nothing was left where the mesh resolves the string, so that nothing was sought.
+    Where the mesh resolves the string it left only noise, so there was no search.
     """
     causes = "gravity_direction tip_mass"
-    previous = earlier({causes: 1.0}, before)
+    previous = explanation_with({causes: 1.0}, before)
     known = {"ratio": 1.0, "known_m": left_m, "causes": causes}
     assert explain_and_list(0.04, previous, **known) == []
     *_, finding, _ = explain_and_list.arguments
     assert finding["verdict"] == expected
 
 
-def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
+def test_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
     searched.search(TOLERANCE_M)
@@ -395,22 +403,24 @@ def test_a_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypat
 
 
 @pytest.mark.parametrize("contact_mm", [4.0, 0.3])
-def test_a_slow_effect_waits_for_quick_ones_unless_these_are_unlikely(
+def test_slow_effect_is_deferred_unless_far_more_evident(
     search, monkeypatch, contact_mm
 ):
     """A fit of contact takes ten times as long as one of wind."""
     monkeypatch.setitem(RMS_MM, "contact", contact_mm)
     searched = search.begin("tip_mass wind contact")
     searched.add_effect_to(searched.comparer.base)
-    waits = {each.comparison.causes: each.waits for each in searched.waiting}
-    assert waits["contact",] == (contact_mm > 1)
+    is_deferred = {
+        each.comparison.causes: each.is_deferred for each in searched.waiting
+    }
+    assert is_deferred["contact",] == (contact_mm > 1)
     searched.search(TOLERANCE_M)
     assert (("contact",) in search.fits) == (contact_mm < 1)
     assert searched.is_complete
 
 
-def test_no_further_cause_is_ranked_when_the_time_is_up(search):
-    """All effects are ranked once; in addition to causes only in time."""
+def test_no_effects_are_screened_without_time(search):
+    """Only the first screening is always made."""
     for is_known, count in ((False, 4), (True, 0)):
         search.ranked.clear()
         searched = search.begin("tip_mass clamp density_taper", seconds=0)
@@ -426,9 +436,9 @@ def test_no_further_cause_is_ranked_when_the_time_is_up(search):
 
 @pytest.fixture
 def explain_and_list(monkeypatch, arm, camera, observe):
-    """Return a function that explains a trial, and lists to what effects were added.
+    """Return a function that explains a trial, and lists the causes that it extended.
 
-    Nothing is fitted but the causes of earlier trials, which leave `known_m`.
+    Only the causes of earlier trials are fitted, with a residual of `known_m`.
     """
 
     def explain_trial(
@@ -446,7 +456,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
             extended.append(base.causes)
             search.extended.add(base.causes)
 
-        found = fitted(causes, 20.0, known_m)
+        found = fitted_comparison(causes, 20.0, known_m)
         monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
@@ -456,7 +466,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
         explanation = explain(
             Model(implicit_string(12, 1e-3), arm, camera),
             [observe({})],
-            fitted("", 0.0, left_m).estimate,
+            fitted_comparison("", 0.0, left_m).estimate,
             previous,
             is_surprising,
             tolerance_m=TOLERANCE_M,
@@ -478,28 +488,28 @@ def explain_and_list(monkeypatch, arm, camera, observe):
 @pytest.mark.parametrize(
     ("ratio", "expected"), [(3.0, [("tip_mass",), NO_CAUSE]), (1.0, [])]
 )
-def test_further_causes_are_sought_while_earlier_ones_leave_more_than_noise(
+def test_search_starts_if_earlier_causes_leave_more_than_noise(
     explain_and_list, ratio, expected
 ):
-    """It needs no surprise, nor a tip that is far off."""
-    previous = earlier({"tip_mass": 1.0}, "cause")
+    """It needs neither a surprise nor a large misfit of the tip."""
+    previous = explanation_with({"tip_mass": 1.0}, "cause")
     assert explain_and_list(0.04, previous, ratio) == expected
 
 
 @pytest.mark.parametrize(
     ("mesh_fraction", "expected"), [(0.8, []), (0.3, [("tip_mass",), NO_CAUSE])]
 )
-def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
+def test_mesh_error_starts_no_search_after_earlier_causes(
     explain_and_list, mesh_fraction, expected
 ):
-    """The cause of the look left the tip of a cast 16 mm off, as the mesh did."""
+    """The residual of the tip is 16 mm, as large as the mesh error."""
     known = {"known_m": 1.5 * TOLERANCE_M, "mesh_fraction": mesh_fraction}
-    previous = earlier({"tip_mass": 1.0}, "cause")
+    previous = explanation_with({"tip_mass": 1.0}, "cause")
     assert explain_and_list(0.08, previous, ratio=1.0, **known) == expected
 
 
 @pytest.mark.parametrize(
-    ("noises", "mesh_fraction", "is_surprising", "is_sought"),
+    ("noises", "mesh_fraction", "is_surprising", "is_search_expected"),
     [
         (1.3, 0.0, False, False),
         (1.7, 0.0, False, True),
@@ -507,19 +517,24 @@ def test_no_other_cause_is_sought_of_the_error_of_the_mesh(
         (1.0, 0.0, True, True),
     ],
 )
-def test_causes_are_sought_of_what_noise_and_mesh_do_not_explain(
-    explain_and_list, monkeypatch, noises, mesh_fraction, is_surprising, is_sought
+def test_search_starts_if_noise_and_mesh_do_not_explain_the_residual(
+    explain_and_list,
+    monkeypatch,
+    noises,
+    mesh_fraction,
+    is_surprising,
+    is_search_expected,
 ):
-    """The tip may be near: of dry friction a cast leaves 2 mm, of 27 mm without it."""
+    """The misfit of the tip may be small."""
     ratios = NoiseRatios(1.0, 1.0, mesh_fraction)
     monkeypatch.setattr(f"{EXPLAIN}.compare_with_noise", lambda *given: ratios)
     left_m = noises * np.sqrt(2) * NOISE_M
     found = explain_and_list(left_m, None, is_surprising=is_surprising)
-    assert found == ([NO_CAUSE] if is_sought else [])
+    assert found == ([NO_CAUSE] if is_search_expected else [])
 
 
-def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
-    """The first fit shows what another may take."""
+def test_no_fit_starts_that_would_exceed_the_budget(monkeypatch):
+    """The duration of the longest fit is the estimate for the next."""
     clock = iter([0.0, 4.0, 4.0, 10.0, 11.0, 14.0])
     monkeypatch.setattr(
         "stringcast.stages.explain.cause_search.time.process_time", lambda: next(clock)
@@ -533,23 +548,28 @@ def test_no_fit_begins_that_would_end_after_the_time_is_up(monkeypatch):
     assert not budget.is_used_up()
 
 
-def test_causes_that_explain_equally_are_candidates():
-    pair = (fitted("tip_mass", 80.0, 0.001), fitted("density_taper", 80.1, 0.001))
-    verdict, sentence = decided(*pair)
+def test_equally_evident_causes_are_candidates():
+    pair = (
+        fitted_comparison("tip_mass", 80.0, 0.001),
+        fitted_comparison("density_taper", 80.1, 0.001),
+    )
+    verdict, sentence = verdict_on(*pair)
     assert verdict == "candidates"
     assert "tip mass" in sentence
     assert "density taper" in sentence
 
 
 def test_two_causes_need_more_evidence_than_one():
-    """Each cause costs its prior odds, so that a slightly better pair is a candidate."""
-    verdict, sentence = decided(
-        fitted("wind", 80.0, 0.001), fitted("tip_mass wind", 84.0, 0.001)
+    """Each cause costs its prior odds, so a slightly better pair is only a candidate."""
+    verdict, sentence = verdict_on(
+        fitted_comparison("wind", 80.0, 0.001),
+        fitted_comparison("tip_mass wind", 84.0, 0.001),
     )
     assert verdict == "candidates"
     assert "tip mass and wind" in sentence
-    verdict, sentence = decided(
-        fitted("wind", 80.0, 0.021), fitted("tip_mass wind", 90.0, 0.001)
+    verdict, sentence = verdict_on(
+        fitted_comparison("wind", 80.0, 0.021),
+        fitted_comparison("tip_mass wind", 90.0, 0.001),
     )
     assert verdict == "cause"
     assert "tip mass and wind" in sentence
@@ -559,7 +579,7 @@ def test_two_causes_need_more_evidence_than_one():
 def observe(arm, camera):
     """Return a function that observes a swing of string A with a hidden cause.
 
-    The arm rests for so many seconds after it.
+    rest: how long the arm rests afterwards [s].
     """
 
     def perform(hidden, motion=SWING, rest=0.0):
@@ -577,7 +597,7 @@ def observe(arm, camera):
 
 
 def true_estimate(model):
-    """Return an estimate of string A that is right."""
+    """Return an estimate with the true values of string A."""
     true = specimen("A").parameters
     rows = []
     for parameter in model.parameters:
@@ -590,7 +610,7 @@ def true_estimate(model):
     )
 
 
-def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
+def test_only_noise_is_left_if_nothing_is_hidden(arm, camera, observe):
     """The error of a coarse mesh is subtracted; a heavy tip leaves more than noise."""
     coarse = implicit_string(12, 1e-3)
     for hidden in ({}, {"tip_mass": {"ratio": 0.3}}):
@@ -598,7 +618,7 @@ def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
         estimate = true_estimate(model)
         observation = observe(hidden)
         ratios = compare_with_noise(model, [observation], [estimate])
-        assert ratios.are_noise == (not hidden)
+        assert ratios.leave_only_noise == (not hidden)
     trial = prepare_trial(model, observe({}))
     chi = estimate.parameters["chi"].to_numpy()
     likelihood = Likelihood(TrialData((trial,)), model)
@@ -606,10 +626,8 @@ def test_only_noise_is_left_where_nothing_is_hidden(arm, camera, observe):
 
 
 @pytest.mark.parametrize("hidden", [{}, {"tip_mass": {"ratio": 0.3}}])
-def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
-    arm, camera, observe, hidden
-):
-    """The string whips after a fast swing, and a fit of its whole trial is wrong."""
+def test_unresolved_frames_give_no_evidence_of_a_cause(arm, camera, observe, hidden):
+    """The string whips after a fast swing, which biases a fit of the whole trial."""
     fast = swing(duration=0.4, speeds=(10.0, 10.0, -14.0))
     observation = observe(hidden, fast, rest=0.4)
     model = Model(implicit_string(12, 1e-3), arm, camera)
@@ -622,22 +640,22 @@ def test_what_the_mesh_does_not_resolve_is_no_sign_of_a_cause(
     left = rms(likelihood.residuals(chi[None])[0]) * np.sqrt(2) * NOISE_M
     estimate.fit = pd.DataFrame([{"rms_after": left}])
     ratios = compare_with_noise(model, [observation], [estimate])
-    assert ratios.are_noise == (not hidden)
-    assert ratios.leave_mesh_error == (not hidden)
+    assert ratios.leave_only_noise == (not hidden)
+    assert ratios.leave_only_mesh_error == (not hidden)
 
 
 @pytest.mark.parametrize(
-    ("without", "with_causes", "expected"), [(20, 7, (7, 7)), (7, 20, (7, 20))]
+    ("without_causes", "with_causes", "expected"), [(20, 7, (7, 7)), (7, 20, (7, 20))]
 )
 def test_estimates_are_compared_where_the_mesh_resolves_both(
-    arm, camera, observe, monkeypatch, without, with_causes, expected
+    arm, camera, observe, monkeypatch, without_causes, with_causes, expected
 ):
-    """One that is resolved hardly anywhere would leave only noise there.
+    """Otherwise an estimate that is hardly resolved anywhere would leave only noise.
 
-    Causes have to leave only noise wherever they are resolved themselves.
+    The string with causes counts wherever it is resolved itself.
     """
     module = "stringcast.stages.explain.noise_ratios"
-    counts = iter([[without], [with_causes], [with_causes]])
+    counts = iter([[without_causes], [with_causes], [with_causes]])
     monkeypatch.setattr(f"{module}.resolved_frames", lambda *given: next(counts))
 
     def count_frames(likelihood, chi):
@@ -647,12 +665,12 @@ def test_estimates_are_compared_where_the_mesh_resolves_both(
     model = Model(implicit_string(12, 1e-3), arm, camera)
     estimate = true_estimate(model)
     ratios = compare_with_noise(model, [observe({})], [estimate, estimate])
-    assert (ratios.without, ratios.left) == expected
+    assert (ratios.without_causes, ratios.with_causes) == expected
 
 
 @pytest.fixture(scope="module")
 def screened(arm, camera, observe):
-    """Return a function that compares effects by a swing with a hidden cause."""
+    """Return a function that screens effects on a swing with a hidden cause."""
 
     def screen(hidden, effects):
         observation = observe(hidden)
@@ -675,9 +693,7 @@ def screened(arm, camera, observe):
     ("cause", "value"),
     [("tip_mass", ("ratio", 0.3)), ("joint_gain", ("gain", 0.04))],
 )
-def test_the_hidden_cause_is_the_most_evident_after_a_few_iterations(
-    screened, cause, value
-):
+def test_hidden_cause_is_the_most_evident_after_screening(screened, cause, value):
     found = screened({cause: dict([value])}, ["tip_mass", "joint_gain"])
     assert max(found, key=found.get) == cause
     assert found[cause] > 0
@@ -691,10 +707,9 @@ def test_the_hidden_cause_is_the_most_evident_after_a_few_iterations(
         ("time_offset", {"offset": 0.005}),
     ],
 )
-def test_a_small_effect_is_compared_linearly_as_by_iterations(
+def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
     arm, camera, observe, cause, values
 ):
-    """It explains nearly all, so that little but noise is left."""
     model = Model(implicit_string(20, 1e-3), arm, camera)
     base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
     compare = Comparer(model, [observe({cause: values})], base, BLOCKS, None, seed=0)
@@ -704,15 +719,13 @@ def test_a_small_effect_is_compared_linearly_as_by_iterations(
     assert linear == pytest.approx(compare.screened_square((effect,)), rel=0.1)
 
 
-def test_no_effect_is_evident_where_none_is_hidden(screened):
+def test_no_effect_is_evident_if_none_is_hidden(screened):
     found = screened({}, ["tip_mass", "joint_gain"])
     assert max(found.values()) < 0
 
 
-def test_a_coarse_mesh_compares_effects_without_its_error(
-    arm, camera, observe, monkeypatch
-):
-    """At the true parameters that mesh of 10 segments errs by more than the noise."""
+def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
+    """At the true parameters the mesh of 10 segments errs by more than the noise."""
     noise_scales = []
 
     def keep_noise(likelihood, *given):
@@ -732,7 +745,7 @@ def test_a_coarse_mesh_compares_effects_without_its_error(
 
 
 def perform_casts(method, *overrides):
-    """Return the casts of a method on the virtual lab, without filming."""
+    """Return the casts of a method in the virtual lab, without filming."""
     settings = compose_settings([f"method={method}", *overrides])
     config = OmegaConf.to_container(OmegaConf.create(settings), resolve=True)
     experiment = prepare_experiment(config, lambda block: f"conf/{block}")
@@ -750,7 +763,7 @@ def perform_casts(method, *overrides):
         ("wind.along_x=1.1", "wind"),
     ],
 )
-def test_a_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, cause):
+def test_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, cause):
     casts = perform_casts(
         "adaptive", "specimen=C", "target=at_500_900", f"+specimen.hidden.{hidden}"
     )
@@ -762,7 +775,7 @@ def test_a_hidden_cause_is_named_after_the_first_cast_and_the_loop_hits(hidden, 
 
 
 @pytest.mark.long
-def test_nothing_is_named_where_nothing_is_hidden():
+def test_no_cause_is_named_if_none_is_hidden():
     casts = perform_casts("adaptive", "specimen=C", "target=at_500_900")
     assert casts[-1].has_hit
     for cast in casts:
@@ -770,8 +783,8 @@ def test_nothing_is_named_where_nothing_is_hidden():
 
 
 @pytest.mark.long
-def test_a_stiff_string_is_hit_with_the_first_cast_after_a_look():
-    """Without a look one of ten first casts hit it."""
+def test_first_cast_of_a_stiff_string_hits_after_a_look():
+    """Without a look, one of ten first casts hits."""
     casts = perform_casts("robust", "specimen=B", "target=at_400_700")
     assert len(casts) == 1
     assert casts[0].has_hit
@@ -786,10 +799,10 @@ def test_a_stiff_string_is_hit_with_the_first_cast_after_a_look():
         ("specimen=B target=at_400_700", "rest_curvature.curvature=4"),
     ],
 )
-def test_a_miss_is_corrected_without_its_cause(where, hidden):
-    """Without the correction such runs took four casts and more.
+def test_miss_is_corrected_without_knowing_its_cause(where, hidden):
+    """Without the correction such runs take at least four casts.
 
-    Seed 1 is the first with which the first cast misses.
+    Seed 1 is the first whose first cast misses.
     """
     casts = perform_casts(
         "robust", "look=null", "seed=1", *where.split(), f"+specimen.hidden.{hidden}"
@@ -799,10 +812,10 @@ def test_a_miss_is_corrected_without_its_cause(where, hidden):
 
 
 @pytest.mark.parametrize(("subtracted_m", "expected"), [(0.0, 0.25), (1e-3, 0.0)])
-def test_the_error_of_the_mesh_is_left_only_where_it_was_not_subtracted(
+def test_subtracted_mesh_error_is_not_part_of_the_residual(
     monkeypatch, subtracted_m, expected
 ):
-    """A mesh that errs by 2 mm leaves a quarter of the 4 mm beyond noise."""
+    """A mesh error of 2 mm is a quarter of the mean square of 4 mm beyond noise."""
     monkeypatch.setattr(noise_ratios, "discretisation_error", lambda *given: 2e-3)
     monkeypatch.setattr(noise_ratios, "rms_m", lambda estimate: 5e-3)
     monkeypatch.setattr(noise_ratios, "noise_m", lambda observations: 3e-3)
