@@ -1,7 +1,9 @@
 """Coefficients of a trial's smooth motion in which its noise is white.
 
 Noise outside the span of these functions is not expanded: its size is estimated
-before (`noise`).
+before (`noise`). A basis has M coefficients for each coordinate, in uncorrelated blocks
+of m. The covariance of a discrepancy differs between blocks only by a factor,
+`block_variance`.
 
 If all frames show the same places, the covariances of noise and discrepancy are
 Kronecker products of a matrix for place and one for time. These have at most 6 and some
@@ -14,7 +16,6 @@ Saatci 2011, Scalable Inference for Structured Gaussian Process Models, chapter 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,42 +31,8 @@ from stringcast.stages.inference.basis import (
 from stringcast.stages.inference.noise import MeasuredTrial, Noise, gram_roots
 
 
-class NoiseBasis(ABC):
-    """Coefficients of a trial in which noise is white, M for each coordinate.
-
-    They are in uncorrelated blocks of m. The covariance of a discrepancy differs
-    between blocks only by a factor, `block_variance`.
-    """
-
-    @property
-    @abstractmethod
-    def block_variance(self) -> np.ndarray:
-        """The relative variance of a discrepancy in each block, (M / m,)."""
-
-    @abstractmethod
-    def coefficients(self, residual: np.ndarray) -> np.ndarray:
-        """Expand residuals over sigma (C, 2 n), (2 C, M).
-
-        The rows of a candidate are those of x and y.
-        """
-
-    @abstractmethod
-    def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (2 C, M) at some points, (C, 2 q).
-
-        chosen: a mask of the q points, (n,).
-        """
-
-    @abstractmethod
-    def discrepancy_root(self, time_root: np.ndarray) -> np.ndarray:
-        """Compute a root of a discrepancy's covariance in a block, (m, N).
-
-        time_root: a root of its covariance at the frames, (F, R).
-        """
-
-
 @dataclass(frozen=True)
-class JointNoiseBasis(NoiseBasis):
+class JointNoiseBasis:
     """A single block of all functions of time and place.
 
     Parameters
@@ -113,22 +80,31 @@ class JointNoiseBasis(NoiseBasis):
         return np.ones(1)
 
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
-        """Expand residuals over sigma (C, 2 n), (2 C, M)."""
+        """Expand residuals over sigma (C, 2 n), (2 C, M).
+
+        The rows of a candidate are those of x and y.
+        """
         return np.asarray(self.functions.sums(residual) @ self.whiten.T)
 
     def at_points(self, coefficients: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Evaluate coefficients (2 C, M) at some points, (C, 2 q)."""
+        """Evaluate coefficients (2 C, M) at some points, (C, 2 q).
+
+        chosen: a mask of the q points, (n,).
+        """
         factors = coefficients @ self.to_functions.T
         return self.functions.at_points(factors, chosen)
 
     def discrepancy_root(self, time_root: np.ndarray) -> np.ndarray:
-        """Compute a root of a discrepancy's covariance, (M, K R)."""
+        """Compute a root of a discrepancy's covariance, (M, K R).
+
+        time_root: a root of its covariance at the frames, (F, R).
+        """
         sums = sum_products(self.functions.in_time, time_root, self.gram)
         return np.asarray(self.whiten @ sums)
 
 
 @dataclass(frozen=True)
-class SeparableNoiseBasis(NoiseBasis):
+class SeparableNoiseBasis:
     """A block for each function of place, if all frames show the same places.
 
     Parameters
@@ -137,13 +113,13 @@ class SeparableNoiseBasis(NoiseBasis):
         M functions whose scalar products with residuals are the coefficients.
     dual
         Functions whose factors are the coefficients.
-    variance
-        The `block_variance`, (K,).
+    block_variance
+        The relative variance of a discrepancy in each block, (K,).
     """
 
     white: SmoothFunctions
     dual: SmoothFunctions
-    variance: np.ndarray
+    block_variance: np.ndarray
 
     @classmethod
     def for_noise(
@@ -180,11 +156,6 @@ class SeparableNoiseBasis(NoiseBasis):
             np.maximum(variance, 0.0),
         )
 
-    @property
-    def block_variance(self) -> np.ndarray:
-        """The relative variance of a discrepancy in each block, (K,)."""
-        return self.variance
-
     def coefficients(self, residual: np.ndarray) -> np.ndarray:
         """Expand residuals over sigma (C, 2 n), (2 C, M)."""
         return self.white.sums(residual)
@@ -194,8 +165,11 @@ class SeparableNoiseBasis(NoiseBasis):
         return self.dual.at_points(coefficients, chosen)
 
     def discrepancy_root(self, time_root: np.ndarray) -> np.ndarray:
-        """Compute a root of a discrepancy's covariance in time, (m, R)."""
+        """Compute a root of a discrepancy's covariance in a block, (m, R)."""
         return np.asarray(self.white.in_time.T @ time_root)
+
+
+NoiseBasis = JointNoiseBasis | SeparableNoiseBasis
 
 
 def find_noise_basis(trial: MeasuredTrial) -> NoiseBasis:
