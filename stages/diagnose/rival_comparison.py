@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,13 +39,6 @@ CLOSE_PRECISIONS = 5  # by which a fit that ended so early may still change
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
-class UncertainFit(NamedTuple):
-    """A fit, and the uncertainty of its discretisation error at the tips [m], (K,)."""
-
-    fit: Fit
-    uncertainty_m: np.ndarray
-
-
 def compare_rivals(
     prepared: PreparedData,
     step: SelectionStep,
@@ -67,13 +59,11 @@ def compare_rivals(
     parent, *compared = _fit_new_rivals(prepared, step, rivals, before, min_gain)
     causes = [fit.hypothesis.causes[-1] for fit in compared]
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
-    uncertain = list[UncertainFit]()
+    fitted = list[Fit]()
     while True:
-        for fit in _catch_up_with_parent(prepared, parent, compared):
-            uncertainty_m = discretisation_uncertainty_of(prepared, fit)
-            uncertain.append(UncertainFit(fit, uncertainty_m))
+        fitted += _catch_up_with_parent(prepared, parent, compared)
         resolved, unresolved = _split_by_resolution(
-            prepared, step, parent, uncertain, criteria
+            prepared, step, parent, fitted, criteria
         )
         resolved = rank_rivals(parent, resolved, criteria)
         shift = parent.log_evidence - step.parent.log_evidence
@@ -153,7 +143,7 @@ def _split_by_resolution(
     prepared: PreparedData,
     step: SelectionStep,
     parent: Fit,
-    rivals: Sequence[UncertainFit],
+    rivals: Sequence[Fit],
     criteria: Criteria,
 ) -> tuple[list[Fit], list[Fit]]:
     """Split rivals by whether simulation with them resolves enough trials to lead.
@@ -177,7 +167,8 @@ def _split_by_resolution(
     resolved = []
     rough = []
     unresolved = []
-    for fit, uncertainty_m in rivals:
+    for fit in rivals:
+        uncertainty_m = discretisation_uncertainty_of(prepared, fit)
         if not is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m):
             unresolved.append(fit)
         elif is_resolved(uncertainty_m, before_m, criteria, half):
