@@ -169,13 +169,9 @@ def _propose_effect(
     linear: LinearisedFit, effect: type[Effect], seed: int
 ) -> tuple[np.ndarray, ...]:
     """Return starts, gain and direction of a proposal; nothing if there is none."""
-    propose = _propose_global_effect
     if is_position_dependent(effect):
-        propose = _propose_contact
-    proposal = propose(linear, effect, seed)
-    if proposal is None:
-        return ()
-    return proposal.starts, np.array(proposal.gain), proposal.direction
+        return _propose_contact(linear, effect, seed)
+    return _propose_global_effect(linear, effect, seed)
 
 
 def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:
@@ -202,8 +198,11 @@ def _propose_global_effect(
     linear: LinearisedFit,
     effect: type[Effect],
     seed: int,
-) -> Proposal | None:
-    """Propose an effect that acts wherever the string is, at any time."""
+) -> tuple[np.ndarray, ...]:
+    """Propose an effect that acts wherever the string is, at any time.
+
+    Returns as `_propose_effect`, and so does `_propose_contact`.
+    """
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     start = hypothesis.exponents_from(linear.parent.exponents)
     amplitudes = hypothesis.amplitude_indices(effect)
@@ -226,7 +225,7 @@ def _propose_global_effect(
     order = np.argsort(-gain, kind="stable")[:STARTS_PER_EFFECT]
     best = order[0]
     if not np.isfinite(gain[best]):
-        return None
+        return ()
     starts = chi[order]
     factors = factors[order, None]
     probed = starts[:, amplitudes] - start[amplitudes]
@@ -235,7 +234,7 @@ def _propose_global_effect(
     fitted = [names.index(name) for name in linear.parent.exponents]
     starts[:, fitted] += factors * steps[order]
     starts = np.clip(starts, 0.0, 1.0)
-    return Proposal(hypothesis, starts, float(gain[best]), remainder[best])
+    return starts, np.asarray(gain[best]), remainder[best]
 
 
 def _probe_exponents(
@@ -279,7 +278,7 @@ def _propose_contact(
     linear: LinearisedFit,
     effect: type[Effect],
     seed: int,
-) -> Proposal | None:
+) -> tuple[np.ndarray, ...]:
     """Propose an effect that depends on place, such as a plane that the string hits.
 
     One that acts wherever its place is, such as a spring to a fixed point, is proposed
@@ -295,14 +294,14 @@ def _propose_contact(
     if contacts.act_everywhere():
         return _propose_global_effect(linear, effect, seed)
     if not np.isfinite(contacts.departure_times).any():
-        return None  # the string departs nowhere from the fit
+        return ()  # the string departs nowhere from the fit
     end_times = contacts.departure_times + CONTACT_DELAY_S
     chi = contacts.sample()
     tried = []
     gains = []
     for radius in (*REFINEMENT_RADII, 0.0):
         if not len(chi):
-            return None
+            return ()
         tried.append(chi)
         responses = linear.responses(hypothesis, chi)
         gains.append(linear.early_gains(responses, end_times))
@@ -317,6 +316,6 @@ def _propose_contact(
     factors = np.ones(len(starts))
     gain = linear.log_likelihood_gains(responses, no_steps, factors).max()
     if not np.isfinite(gain):
-        return None
+        return ()
     _, remainder = linear.parameter_steps(responses)
-    return Proposal(hypothesis, starts, float(gain), remainder[0])
+    return starts, np.asarray(gain), remainder[0]
