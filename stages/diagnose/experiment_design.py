@@ -98,6 +98,11 @@ class Rivals:
         likeliest = next(iter(self.fits.values()))
         return rms(unexplained_tip_rms(self.data, likeliest))
 
+    @cached_property
+    def informations(self) -> list[np.ndarray]:
+        """What the measured trials say of each rival's parameters, (P, P)."""
+        return [LinearisedFit(self.data, f).information for f in self.fits.values()]
+
     def expected_log_odds(
         self,
         trial: TrialData,
@@ -131,8 +136,7 @@ class Rivals:
             difference = residuals[other] - residuals[true]
             white = trial.whiten([difference[None]], grid_points)[0]
             white_slopes = trial.whiten([slopes[other]], grid_points)
-            information = LinearisedFit(self.data, fits[other]).information
-            normal = information + white_slopes @ white_slopes.T
+            normal = self.informations[other] + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)
             left = white + step @ white_slopes
             log_odds[true, other] = 0.5 * float(white @ left)
