@@ -43,19 +43,19 @@ from stringcast.stages.model.parameter import Parameter
 
 log = logging.getLogger(__name__)
 
-RANGE_END_FRACTION = 0.02  # of a range: nearer to its end, the data press against it
+RANGE_END_FRACTION = 0.02  # of a range: a parameter nearer to its end is at the end
 RANGE_WIDENING_FACTOR = 30.0
 MAX_WIDENING_ROUNDS = 3
-WIDENING_ITERATIONS = 8  # show whether a wider range explains much more
+WIDENING_ITERATIONS = 8  # enough to see whether a wider range explains much more
 MAX_SEARCH_ITERATIONS = 20  # before the last horizon
-# In it, and after it: a model that misfits creeps, and is fitted again with the error
-# of its mesh and a discrepancy
+# In the last horizon and after it. A model that misfits converges slowly, and is fitted
+# again with mesh error and discrepancy
 MAX_LAST_ITERATIONS = 20
 SCREENED_PER_START = 8
-UNKNOWN_MOTION_M = 0.03  # at the tip, of something that begins in a trial
-SCREENED_STRINGS = 64  # by how they describe the beginnings of trials
+UNKNOWN_MOTION_M = 0.03  # assumed scale of a discrepancy that begins in a trial
+SCREENED_STRINGS = 64  # for fits to the beginnings of trials
 BEGINNING_ITERATIONS = 12  # of fits to the beginnings of trials
-MAX_SEARCHED_TRIALS = 8  # from many starts; all are fitted from the best of them
+MAX_SEARCHED_TRIALS = 8  # in the search from many starts; its best fit starts from all
 
 
 def fit_base_model(
@@ -64,12 +64,12 @@ def fit_base_model(
     starts: int,
     progress: Progress,
 ) -> tuple[Likelihood, np.ndarray]:
-    """Fit the base model from many starts, in ranges as wide as the data ask for.
+    """Fit the base model from many starts, widening ranges where the data require it.
 
     Returns
     -------
     likelihood : Likelihood
-        With the final ranges and initial states.
+        The likelihood with the final ranges and initial states.
     chi : numpy.ndarray, shape (P,)
         Exponents of the best fit.
     """
@@ -96,7 +96,7 @@ def fit_base_model(
 
 
 def sample_trials(likelihood: Likelihood) -> Likelihood:
-    """Take as many trials, evenly, as a search from many starts needs."""
+    """Select at most MAX_SEARCHED_TRIALS trials, evenly."""
     trials = likelihood.data.trials
     chosen = choose_evenly(len(trials), MAX_SEARCHED_TRIALS)
     return likelihood.with_trials([trials[k] for k in chosen])
@@ -107,10 +107,9 @@ def widen_range_if_supported(
     chi: np.ndarray,
     index: int,
 ) -> tuple[Likelihood, np.ndarray]:
-    """Widen the range of a parameter that lies at its end, if that explains much more.
+    """Widen the range of a string parameter at its end, if that explains much more.
 
-    Only ranges of the string are widened. A parameter that the data do not determine
-    may lie at an end as well: there a wider range gains nothing.
+    An undetermined parameter may be at an end, too, but gains nothing by a wider range.
     """
     parameter = likelihood.parameters[index]
     wider = _in_wider_range(likelihood.model, parameter, chi[index])
@@ -119,7 +118,7 @@ def widen_range_if_supported(
     start = wider.exponents_of_values(likelihood.model.values_at(chi))
     widened = with_estimated_noise(likelihood.with_model(wider), start)
 
-    # The gain of the log-likelihood at the best scale of the noise, as in `solver`
+    # The gain in log-likelihood at the best noise level, as in `solver`
     before = widened.residuals(start[None])[0]
     after = solver.fit_least_squares(
         widened, start[None], WIDENING_ITERATIONS, STRONG_LOG_EVIDENCE
@@ -149,13 +148,12 @@ def _in_wider_range(
 
 
 def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
-    """Fit a hypothesis again, first to the beginnings of all trials.
+    """Refit a hypothesis, first to the beginnings of all trials.
 
-    What begins in the middle of trials and is unknown leads a fit to all of them
-    astray, and so the search that led to the fit. So the trials are fitted as if an
-    unknown motion began at each onset in turn, from the fit and from the other string
-    that describes the beginnings best. The best of these fits goes on with the most
-    likely grid points.
+    An unknown disturbance in the middle of trials biases fits to whole trials. So the
+    trials are fitted as if a discrepancy began at each onset in turn, from the given
+    fit and from the other string that fits the beginnings best. The best of these fits
+    is refined with the most likely grid points.
     """
     hypothesis = fit.hypothesis
     sequence = Halton(len(fit.chi), scramble=False)
@@ -185,18 +183,18 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
 def widen_ranges_with_causes(
     data: TrialData, fit: Fit, criteria: Criteria
 ) -> Model | None:
-    """Widen a range at whose end the causes leave a parameter, if that explains most.
+    """Widen the range of a string parameter that is at its end in a fit with causes.
 
-    Without them the base model may end elsewhere. A cause that is not there would make
-    up for the narrow range. A wider one counts if it removes `min_explained_fraction`
-    of what is left; where something is missing in the model, evidence rises for less.
+    In too narrow a range, a false cause would compensate. The wider range must remove
+    `min_explained_fraction` of the remaining misfit: evidence is no criterion, because
+    it rises for little if the model is incomplete.
 
     Parameters
     ----------
     data : TrialData
-        Corrected at the fit.
+        Trials corrected at the fit.
     fit : Fit
-        With the causes.
+        The fit with the causes.
     criteria : Criteria
 
     Returns
@@ -213,7 +211,7 @@ def widen_ranges_with_causes(
     if not wider_models:
         return None
 
-    # The correction's centre is given by exponents of the narrow range: no range has it
+    # Compare without the mesh correction: its centre has exponents of the narrow range
     data = replace(data, mesh_correction=None)
     narrow = refit(data, fit, hypothesis, NEGLIGIBLE_LOG_EVIDENCE)
     left_m = unexplained_tip_rms(data, narrow)
@@ -238,10 +236,10 @@ def search_other_strings(
     rng: np.random.Generator,
     starts: int,
 ) -> np.ndarray:
-    """Search the best exponents (P,) from other strings and from those of a fit.
+    """Search the best exponents (P,) from random strings and from those of a fit.
 
     The optimum of the base model may be a poor start for a model with a cause. The
-    causes' parameters begin as they are.
+    parameters of causes start from the fit.
     """
     hypothesis = fit.hypothesis
     is_cause = np.zeros(len(fit.chi), dtype=bool)

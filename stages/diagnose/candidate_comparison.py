@@ -1,7 +1,8 @@
 """Comparison of all candidates for one more cause.
 
-The most promising candidates are fitted roughly, in a sample of the trials if there are
-many. Those that explain about as much as the best are its rivals (`rival_comparison`).
+The most promising candidates are fitted roughly, first to a sample of the trials if
+there are many. Those that explain about as much as the best are its rivals
+(`rival_comparison`).
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ from stringcast.stages.model.effect import Effect, is_position_dependent
 
 log = logging.getLogger(__name__)
 
-INITIAL_PROPOSALS = 6  # the others are fitted if these explain little of what is left
-MAX_SAMPLED_TRIALS = 8  # candidates are tried in these before all
+INITIAL_PROPOSALS = 6  # others are fitted only if these explain too little
+MAX_SAMPLED_TRIALS = 8  # candidates are fitted first to these
 
 
 def compare_candidates(
@@ -58,14 +59,14 @@ def compare_candidates(
     seed: int,
     contested: Fit | None = None,
 ) -> SelectionStep:
-    """Fit what each effect may add to a parent, and decide on the best of them.
+    """Fit each effect in addition to a parent, and decide whether the best is accepted.
 
     Parameters
     ----------
     contested : Fit, optional
-        The fit with a cause that was accepted, whose place is contested.
+        The fit with an accepted cause, with which the candidates compete.
     """
-    # Data were corrected where the fit had ended: else each candidate makes up for that
+    # The data changed since the parent was fitted; else candidates would gain by that
     parent = refit(prepared.data, parent, parent.hypothesis, NEGLIGIBLE_LOG_EVIDENCE)
     causes = parent.hypothesis.causes
     candidates = [effect for effect in effects if effect not in causes]
@@ -78,7 +79,7 @@ def compare_candidates(
         causes = contested.hypothesis.causes
         remaining = [p for p in proposals if p.effect not in causes]
 
-    # The most promising ones; then all others, if these explain too little
+    # The most promising ones, then all others if these explain too little
     chosen = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
     decided = step
     while True:
@@ -94,7 +95,7 @@ def compare_candidates(
             )
         decided = compare_rivals(prepared, step, decided, criteria)
         if decided.accepted:
-            # A contact that is there promises much: it explains the departure
+            # A contact that is present would have been among the most promising
             remaining = [p for p in remaining if not is_position_dependent(p.effect)]
         if not remaining or _explains_enough(prepared.data, decided, criteria):
             return decided
@@ -104,10 +105,10 @@ def compare_candidates(
 def _explains_enough(
     data: TrialData, decided: SelectionStep, criteria: Criteria
 ) -> bool:
-    """Return whether no candidates need to be fitted beside those of a step.
+    """Return whether no further candidates need to be fitted.
 
-    A stand-in explains little of what is left, and the cause may have promised less. In
-    the place of a cause that was accepted, others were fitted before.
+    If the best explains little, it may be a stand-in, and the real cause may be a less
+    promising candidate. If an accepted cause is contested, others were fitted before.
     """
     tolerance_m = criteria.tip_tolerance_m
     before_m = unexplained_tip_rms(data, decided.parent)
@@ -123,7 +124,7 @@ def _explains_enough(
 
 
 def _sample_trials(data: TrialData, parent: Fit) -> tuple[TrialData, Fit]:
-    """Sample the trials in which candidates are first tried, if that halves them."""
+    """Sample the trials to which candidates are first fitted, if that halves them."""
     if len(data.trials) < 2 * MAX_SAMPLED_TRIALS:
         return data, parent
     chosen = sample_by_misfit(data, parent, MAX_SAMPLED_TRIALS)
@@ -136,7 +137,7 @@ def _lookalikes_of_best(
     others: Sequence[Proposal],
     criteria: Criteria,
 ) -> list[Proposal]:
-    """Find proposals that to first order explain much of what the best fit does."""
+    """Find proposals that to first order explain much of what the best fit explains."""
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return []
     effect = step.best.hypothesis.causes[-1]
@@ -154,9 +155,9 @@ def _fit_more_proposals(
     criteria: Criteria,
     sampled: tuple[TrialData, Fit],
 ) -> SelectionStep:
-    """Fit more of a step's proposals, promising ones with their own numerical error.
+    """Fit more of a step's proposals, leading ones with their own numerical error.
 
-    sampled: the trials that are fitted first, as of `_sample_trials`.
+    sampled: the trials that are fitted first (`_sample_trials`).
     """
     data = prepared.data
     parent = step.parent
@@ -184,7 +185,7 @@ def _fit_more_proposals(
 
     fits = fit_in_workers(fit_proposal, [p.hypothesis for p in proposals])
 
-    # Those that may lead, with numerical error of their own
+    # Refit those that may lead with their own numerical error
     least_evidence = least_evidence_of_rivals([*step.fits, *fits], parent, criteria)
     leading = [k for k, fit in enumerate(fits) if fit.log_evidence > least_evidence]
 
@@ -199,17 +200,16 @@ def _fit_more_proposals(
 
     corrections = fit_in_workers(correct_roughly, [fits[k].hypothesis for k in leading])
     for k, corrected in zip(leading, corrections, strict=True):
-        # One finer mesh shows the error roughly: what may be evident is compared
+        # The error from one finer mesh is rough: keep the larger evidence
         if corrected.log_evidence > fits[k].log_evidence:
             fits[k] = corrected
     return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
 
 
 def _is_worse_than_contained(fit: Fit, parent: Fit) -> bool:
-    """Return whether a fit with a further cause ends below the one without it.
+    """Return whether a fit with a further cause is worse than its parent.
 
-    It contains the parent, where the cause is absent. So the start that was proposed,
-    which is linear about the parent, was too far from it.
+    The model contains the parent, so the proposed start must have been bad.
     """
     before = parent.log_likelihood_by_trial.sum()
     after = fit.log_likelihood_by_trial.sum()
@@ -217,9 +217,9 @@ def _is_worse_than_contained(fit: Fit, parent: Fit) -> bool:
 
 
 def _best_gain(step: SelectionStep) -> float:
-    """Return the log evidence that the best candidate gains, or promises to gain."""
-    promised = max((proposal.gain for proposal in step.proposals[:1]), default=0.0)
-    return max(step.best_gain, promised)
+    """Return the log evidence that the best candidate gains or is predicted to gain."""
+    predicted = max((proposal.gain for proposal in step.proposals[:1]), default=0.0)
+    return max(step.best_gain, predicted)
 
 
 def _find_better_parent(
@@ -227,8 +227,8 @@ def _find_better_parent(
 ) -> Fit | None:
     """Find a fit without a further cause that gains most of what the best gains.
 
-    Such a fit is sought from where the best candidate has come to. While the parent is
-    in a worse minimum, any cause seems to gain.
+    It starts from the optimum of the best candidate. If the parent is in a bad local
+    minimum, any cause seems to gain.
     """
     parent = step.parent
     best = step.best

@@ -1,9 +1,9 @@
-"""Exchange of two causes at once: a rival of an earlier one, and what goes with it.
+"""Exchange of two causes at once.
 
-While something is missing, a look-alike may explain more than the cause that is there,
-and the next cause that is found goes with it. Neither can be exchanged alone: each is
-the best with the other. So the rivals of a cause that was accepted are also fitted with
-rivals of the earlier ones, as in a floating search (Pudil, Novovičová, Kittler, Pattern
+While a cause is missing, a look-alike may explain more than a real cause, and the next
+cause may then be a complement of this look-alike. Neither can be exchanged alone: each
+is the best with the other. So rivals of an accepted cause are also fitted together with
+rivals of earlier ones, as in a floating search (Pudil, Novovičová, Kittler, Pattern
 Recognition Letters 15, 1119, 1994).
 """
 
@@ -34,10 +34,10 @@ MAX_COMPARED = 2  # exchanges that are fitted to common data
 
 
 def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionState:
-    """Exchange the cause accepted last and an earlier one if that explains more.
+    """Exchange the last accepted cause and an earlier one if that explains more.
 
-    Only exchanges that explain at least half of what the last cause does are compared
-    on common data.
+    Only exchanges that keep at least half of the last cause's gain are compared on
+    common data.
     """
     *earlier, last = [step for step in state.steps if step.accepted]
     exchanges = list(_exchanges(state, earlier, last))
@@ -71,22 +71,22 @@ def exchange_two_causes(state: SelectionState, criteria: Criteria) -> SelectionS
 def _exchanges(
     state: SelectionState, earlier: Sequence[SelectionStep], last: SelectionStep
 ) -> Iterator[tuple[Hypothesis, np.ndarray]]:
-    """Combine rivals of earlier causes with those of the last, and their starts.
+    """Combine rivals of earlier causes with those of the last, with their starts.
 
-    Yields a hypothesis and exponents (2, P). What both fits share is first as in that
-    of the last cause, then as in that of the earlier one.
+    Yields a hypothesis and exponents (2, P): shared parameters first from the fit of
+    the last cause, then from that of the earlier one.
     """
     causes = state.fit.hypothesis.causes
     for step in earlier:
         assert step.best is not None
         replaced = step.best.hypothesis.causes[-1]
         if replaced not in causes[:-1]:
-            continue  # it was dropped or exchanged since
+            continue  # dropped or exchanged since
         kept = [c for c in causes[:-1] if c is not replaced]
         for one, other in product(step.compared[1 : 1 + MAX_RIVALS], last.compared):
             pair = one.hypothesis.causes[-1], other.hypothesis.causes[-1]
             if len({*kept, *pair}) < len(causes):
-                continue  # one cause twice
+                continue  # a cause would occur twice
             hypothesis = Hypothesis(state.fit.hypothesis.base, (*kept, *pair))
             from_last = hypothesis.exponents_from(one.exponents | other.exponents)
             from_earlier = hypothesis.exponents_from(other.exponents | one.exponents)

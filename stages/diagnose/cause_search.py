@@ -1,4 +1,4 @@
-"""The search for causes, again while those found change what is searched."""
+"""The search for causes, repeated while causes change the trials or settings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SearchProgress(NamedTuple):
     ----------
     trials : TrialsByUse
     prepared : PreparedData
-        Corrected at the base model, before any cause.
+        Trials corrected at the base model, before any cause.
     effects : list of type of Effect
         The candidates.
     state : SelectionState
@@ -64,11 +64,11 @@ class _Search:
     Attributes
     ----------
     trials : TrialsByUse
-        Those that are chaotic without causes are not excluded yet.
+        The trials, including those that are chaotic without causes.
     settings : DiagnosisSettings
-        With the ranges and the longest time step of this search.
+        Settings, with the ranges and the longest time step of this search.
     returned : tuple of str
-        Names of trials that causes have resolved: they are kept, even if chaotic
+        Names of trials that were resolved with causes. They are kept, even if chaotic
         without causes.
     """
 
@@ -77,7 +77,7 @@ class _Search:
     returned: tuple[str, ...] = ()
 
     def begin(self, known: SelectionState | None = None) -> SearchProgress:
-        """Prepare the data, and fit the causes that are known from fewer trials."""
+        """Prepare the data, and fit the causes of an earlier search, if any."""
         log.info("fitting the base model")
         settings = self.settings
         criteria = settings.criteria
@@ -110,22 +110,22 @@ def search_until_trials_settle(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
 ) -> Iterator[SearchProgress]:
-    """Search causes, again while those found change what is searched.
+    """Search causes, and repeat the search while they change the trials or settings.
 
-    - A chaotic trial returns once the causes resolve it, and the search goes on with it
-      from these causes. If the fit to all trials does not resolve it, it is left out
-      for good.
-    - If trials are chaotic with the causes in long time steps, the search begins again
-      in short ones.
+    - A chaotic trial is used again if simulation with the causes resolves it, and the
+      search continues from these causes. If the fit to all trials does not resolve it,
+      it is left out for good.
+    - If trials are chaotic with the causes at a long time step, the search is repeated
+      with a short one.
     - If the causes leave a parameter of the string at the end of its range, the search
-      begins again in a wider one.
-    - A trial that is chaotic with the causes in short steps is left out, and the search
-      goes on from the causes.
-    - If the data with the causes clearly come from the configured mesh, the search goes
-      on from the causes on that mesh.
-    - When no cause is missing any more, the search begins again without a trial that
-      is outlying. It goes on with one that was outlying and that the causes predict: a
-      search with this trial has found others.
+      is repeated in a wider range.
+    - A trial that is chaotic with the causes at a short step is left out, and the
+      search continues from the causes.
+    - If the data with the causes clearly come from the configured mesh, the search
+      continues from the causes on that mesh.
+    - When no cause is missing any more, the search is repeated without a trial that is
+      outlying. If the causes found then predict this trial, the search continues with
+      it from these causes.
     """
     search = _Search(trials, settings)
     reached: SearchProgress | None = search.begin()
@@ -146,7 +146,7 @@ def search_until_trials_settle(
 def _select_causes(
     reached: SearchProgress, settings: DiagnosisSettings
 ) -> Iterator[SearchProgress]:
-    """Select causes in the trials at hand, one at a time, and report progress."""
+    """Select causes in the present trials, one at a time, and report progress."""
     criteria = settings.criteria
     states = select_causes(
         reached.state, reached.effects, criteria, settings.seed, settings.starts
@@ -159,10 +159,10 @@ def _select_causes(
 def _search_after_new_cause(
     search: _Search, reached: SearchProgress
 ) -> tuple[_Search, SearchProgress | None]:
-    """Begin again, or go on with other trials, if the causes found ask for it.
+    """Decide whether the new cause requires another search.
 
-    Returns the search with what they change, and where it begins or goes on; None if
-    further causes are selected in the same trials.
+    Returns the search with its changes and its first state. The latter is None if the
+    selection goes on as before.
     """
     state = reached.state
     criteria = search.settings.criteria
@@ -171,7 +171,7 @@ def _search_after_new_cause(
     )
     search = replace(search, returned=(*search.returned, *resolved))
 
-    # Other steps or ranges make all fits anew: nothing is fitted before they are chosen
+    # Other steps or ranges require all fits to be repeated, so they are chosen first
     chaotic = _trials_chaotic_with_causes(state, criteria)
     settings = _settings_with_causes(state, search.settings, chaotic)
     if settings is not search.settings:
@@ -194,9 +194,9 @@ def _search_after_new_cause(
 def _search_without_chaotic_trials(
     search: _Search, reached: SearchProgress, chaotic: Sequence[str]
 ) -> tuple[_Search, SearchProgress]:
-    """Search without trials that are chaotic with the causes, from these causes.
+    """Continue from the causes without trials that are chaotic with them.
 
-    Those that returned before are left out for good.
+    Those that were used again before are left out for good.
     """
     log.info("chaotic with the causes: %s", ", ".join(chaotic))
     for_good = [name for name in chaotic if name in search.returned]
@@ -210,7 +210,7 @@ def _search_without_chaotic_trials(
 def _search_on_configured_mesh(
     settings: DiagnosisSettings, reached: SearchProgress
 ) -> SearchProgress | None:
-    """Go on from the causes on the configured mesh, if the data come from it."""
+    """Continue from the causes on the configured mesh if the data come from it."""
     state = reached.state
     if state.prepared.mesh_is_model or not state.fit.hypothesis.causes:
         return None
@@ -232,7 +232,8 @@ def _search_other_trials(
 ) -> tuple[_Search, SearchProgress | None]:
     """Search without an outlying trial, or with one that the causes predict.
 
-    Returns the search with these trials, and where it begins; None if all stay.
+    Returns the search with these trials and its first state, which is None if the
+    trials stay the same.
     """
     criteria = search.settings.criteria
     trials = _trials_for_another_search(search.trials, state, criteria)
@@ -249,9 +250,9 @@ def _trials_for_another_search(
     state: SelectionState,
     criteria: Criteria,
 ) -> TrialsByUse:
-    """Exclude or include trials by the causes found, or return the same trials.
+    """Exclude an outlying trial, include predicted ones, or return the same trials.
 
-    A trial that the others do not predict is excluded, until the causes found without
+    A trial that the others do not predict is excluded until the causes found without
     it predict it.
     """
     for name, reason in find_outlying_trial(state, criteria).items():
@@ -270,9 +271,9 @@ def _trials_for_another_search(
 def _settings_with_causes(
     state: SelectionState, settings: DiagnosisSettings, chaotic: Sequence[str]
 ) -> DiagnosisSettings:
-    """Shorten steps in which trials are chaotic, or widen a range that is too narrow.
+    """Shorten steps at which trials are chaotic, or widen a range that is too narrow.
 
-    Either may have led the causes astray. Returns the same settings if neither is so.
+    Either may have led to wrong causes. Returns the same settings if neither applies.
     """
     if chaotic and settings.longest_step_s > STEP_S and _steps_are_long(state):
         log.info("chaotic in long steps: %s", ", ".join(chaotic))
@@ -306,8 +307,8 @@ def _trials_resolved_with_causes(
 ) -> list[str]:
     """Name trials that are chaotic without the causes and resolved with them.
 
-    Numerical error is also large where a string without the causes is bent to what
-    they do.
+    A fit without the causes may have large numerical errors because it distorts the
+    string.
     """
     chaotic_names = state.prepared.chaotic_trials
     chaotic = [o for o in searched if o.trial in chaotic_names]

@@ -1,15 +1,16 @@
-"""Evidence of rivals on the same data: each with the numerical error of its own end.
+"""Evidence of rivals on the same data, each with the numerical error at its optimum.
 
-A search subtracts the numerical error at the optimum of a fit from what was measured.
-How far this error is from that where a rival ends moves log evidences by up to
-hundreds: more than rivals differ. So each rival is fitted in turn with the error that
-belongs to where it has come to, until it stays there: it is then compared, with nothing
-but its own simulation, on what was measured. Initial states, noise and discrepancy are
-those of one search. A rival may be in a worse minimum of the parameters that all share,
-so that it is also fitted from those of the most evident other one, and from other
-places and times where causes may act. It goes on from the more evident end. How the
-error changes is measured again where it changes otherwise than expected; what the last
-pass promised and did not gain is an error of the log evidence.
+A search subtracts the numerical error at the optimum of one fit from the measured
+points. At the optimum of a rival this error is different. That changes log evidences by
+up to hundreds, more than the differences between rivals. So each rival is fitted with
+the error at its own optimum, until it does not move any more. Initial states, noise and
+discrepancy are common to all.
+
+A rival may be in a worse local minimum of the shared parameters. So it is also fitted
+from those of the most evident other rival, and from other places and times where causes
+may act. The more evident of both fits goes on. The slopes of the error are computed
+again if the error changes differently from their prediction. The gain that the last
+pass predicted but did not reach is an error of the log evidence.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from stringcast.stages.inference.laplace import (
 )
 from stringcast.stages.inference.trial_data import TrialData
 
-MAX_PASSES = 4  # of a fit and its numerical error; it mostly takes two
+MAX_PASSES = 4  # of a fit and its numerical error; usually two are enough
 
 
 def fit_to_common_data(
@@ -45,19 +46,19 @@ def fit_to_common_data(
     fitted_before: Sequence[Fit] = (),
     min_gain: float = NEGLIGIBLE_LOG_EVIDENCE,
 ) -> list[Fit]:
-    """Fit each rival to what was measured.
+    """Fit each rival to the measured points with its own numerical error.
 
     Parameters
     ----------
     prepared : PreparedData
         The data of the search, with their initial states and error models.
     rivals : sequence of Fit
-        What is compared, such as hypotheses with and without a cause.
+        Fits to compare, such as hypotheses with and without a cause.
     fitted_before : sequence of Fit
-        On common data; rivals begin also where the best of these is, and not where the
-        best other rival is.
+        Fits to common data. The best of these is a further start, instead of the best
+        other rival.
     min_gain : float
-        Of the log evidence; a pass that gains less is the last.
+        A pass that gains less log evidence is the last.
 
     Returns
     -------
@@ -72,7 +73,7 @@ def fit_to_common_data(
         searched = prepared_at(prepared, rival)
         current = evaluate_with_own_error(searched, rival, rival.chi)
 
-        # Other places to begin from
+        # Further starts
         exponents = rival.exponents | best.exponents
         shared = rival.hypothesis.exponents_from(exponents)
         alternatives = alternative_parameter_starts(current.data, current.fit)
@@ -82,10 +83,10 @@ def fit_to_common_data(
         if elsewhere.fit.log_evidence > current.fit.log_evidence:
             current = elsewhere
 
-        surprise = 0.0  # of the log-likelihood where the last pass ended
+        surprise = 0.0  # error of the log-likelihood that the last pass predicted
         for _ in range(MAX_PASSES):
             if surprise > min_gain:
-                # The error changes otherwise than it did where the rival began
+                # The slopes of the error are different here
                 searched = prepared_at(prepared, current.fit)
                 chi = current.fit.chi
                 current = evaluate_with_own_error(searched, current.fit, chi)
@@ -99,7 +100,6 @@ def fit_to_common_data(
             surprise = abs(found - expected)
             if gain > 0:
                 current = moved
-            # Of what the pass promised
             missed = expected - current.fit.log_likelihood_by_trial.sum()
             if max(gain, surprise) < min_gain:
                 break
@@ -110,7 +110,7 @@ def fit_to_common_data(
 
 
 def prepared_at(prepared: PreparedData, rival: Fit) -> PreparedData:
-    """Measure how the numerical error changes with the parameters about a rival."""
+    """Compute the change of numerical error with the parameters at a rival."""
     if prepared.mesh_is_model:
         return prepared
     mesh_correction = fit_mesh_correction(prepared, rival)
@@ -120,7 +120,7 @@ def prepared_at(prepared: PreparedData, rival: Fit) -> PreparedData:
 
 @dataclass(frozen=True)
 class EvaluatedFit:
-    """A fit, and the data with the numerical error of where it is subtracted."""
+    """A fit, and the data from which its numerical error is subtracted."""
 
     data: TrialData
     fit: Fit
@@ -129,7 +129,7 @@ class EvaluatedFit:
 def evaluate_with_own_error(
     prepared: PreparedData, fit: Fit, chi: np.ndarray
 ) -> EvaluatedFit:
-    """Evaluate the hypothesis of a fit at exponents (P,), with its error there."""
+    """Evaluate a hypothesis at exponents (P,), with the numerical error there."""
     moved = replace(fit, chi=chi)
     data = correct_data_on_one_finer_mesh(prepared, moved)
     data = with_random_effects(data, fit.hypothesis, chi)
@@ -139,6 +139,6 @@ def evaluate_with_own_error(
 def _refit(
     data: TrialData, fit: Fit, starts: np.ndarray, min_gain: float
 ) -> np.ndarray:
-    """Find where a fit moves from exponents (C, P) on some data."""
+    """Find the best exponents (P,) of a fit's hypothesis from starts (C, P)."""
     chi, _ = best_exponents(data, fit.hypothesis, starts, fit.grid_points, min_gain)
     return chi

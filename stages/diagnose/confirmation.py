@@ -1,4 +1,4 @@
-"""Confirmation of accepted causes by trials left out; the others are set aside."""
+"""Confirmation of accepted causes by left-out trials; the others are set aside."""
 
 from __future__ import annotations
 
@@ -46,11 +46,10 @@ def drop_unconfirmed_causes(
     criteria: Criteria,
     candidates: int,
 ) -> SelectionState:
-    """Set aside causes that trials left out do not confirm, the last one first.
+    """Set aside causes that left-out trials do not confirm, the last one first.
 
-    A rival that they confirm takes the place of such a cause, if there is one. Causes
-    that two trials are too few to confirm stay in the fit: without these, the others
-    would stand for what they do.
+    If they confirm a rival, it replaces the cause. Causes that two trials are too few
+    to confirm stay in the fit: without them, other causes would compensate.
 
     candidates: number of effects that share the prior probability of one being active.
     """
@@ -75,7 +74,7 @@ def drop_unconfirmed_causes(
 
 
 def _without_cause(state: SelectionState, cause: type[Effect]) -> SelectionState:
-    """Fit a state without one of its causes; its data stay."""
+    """Refit a state without one of its causes, to the same data."""
     hypothesis = state.fit.hypothesis.without_cause(cause)
     return replace(state, fit=refit(state.prepared.data, state.fit, hypothesis))
 
@@ -87,7 +86,7 @@ def _find_confirmed_rival(
     criteria: Criteria,
     candidates: int,
 ) -> SelectionState | None:
-    """Find the most evident rival of a cause that trials left out confirm instead.
+    """Find the most evident rival of a cause that left-out trials confirm.
 
     Parameters
     ----------
@@ -114,7 +113,7 @@ def _find_confirmed_rival(
 
 
 def _rivals_when_accepted(state: SelectionState, cause: type[Effect]) -> list[Fit]:
-    """Return what explained about as much when a cause was accepted."""
+    """Return the rivals with which a cause was compared when it was accepted."""
     for step in state.steps:
         compared = [fit.hypothesis.causes[-1] for fit in step.compared]
         if step.accepted and cause in compared:
@@ -126,7 +125,7 @@ def _rivals_when_accepted(state: SelectionState, cause: type[Effect]) -> list[Fi
 def _set_aside_small_causes(
     state: SelectionState, criteria: Criteria
 ) -> SelectionState:
-    """Say which causes of the fit are small, given the others; they stay in it."""
+    """Set aside causes that are small given the others; they stay in the fit."""
     data = state.prepared.data
     reasons = dict(state.set_aside)
     small = []
@@ -148,7 +147,7 @@ def _reason_to_set_aside(
     criteria: Criteria,
     candidates: int,
 ) -> str:
-    """Say why a cause is not confirmed, or nothing if it is.
+    """Return the reason why a cause is not confirmed; empty if it is.
 
     without: the state without this cause.
     """
@@ -158,13 +157,13 @@ def _reason_to_set_aside(
         return "it is at the end of its range, probably a stand-in for another cause"
     if len(data.trials) < 2:
         return ""
-    # No other trial can confirm what acts in one trial alone
+    # No other trial can confirm a cause that acts in one trial only
     touched = trials_touched_by(data, fit, cause, criteria.tip_tolerance_m)
     acts_alone = len(touched) == 1
     if not acts_alone and not _predicts_trials(state, without, cause, criteria):
         return "it does not help to predict trials left out"
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
-        return ""  # the model lacks nothing, and its evidence holds
+        return ""  # no misfit remains, so the evidence is reliable
     probability = probability_by_agreement(
         state, cause, candidates, criteria.tip_tolerance_m
     )
@@ -175,7 +174,7 @@ def _reason_to_set_aside(
 
 
 def _reason_for_no_agreement(trials: int, acts_alone: bool) -> str:
-    """Say why a number of trials do not confirm a cause."""
+    """Return the reason why trials do not confirm a cause."""
     if acts_alone:
         return "it acts in one trial, which no other confirms, and misfit remains"
     if trials == 2:
@@ -189,11 +188,11 @@ def _predicts_trials(
     cause: type[Effect],
     criteria: Criteria,
 ) -> bool:
-    """Return whether a cause helps to predict trials left out. Parameters as before.
+    """Return whether a cause improves predictions of left-out trials.
 
-    The fit without the cause is first compared as it is. It has seen the trials, so
-    that it explains them better than it could predict them. Most causes are confirmed
-    even so, and it need not be fitted without each trial.
+    First, the fit to all trials without the cause is used in place of its predictions.
+    It explains trials better than it predicts them. Most causes are confirmed even so,
+    which saves the fits without each trial.
     """
     data = state.prepared.data
     fitted = predict_trials(data, without.fit)
@@ -208,9 +207,9 @@ def _are_predicted_better(
     cause: type[Effect],
     criteria: Criteria,
 ) -> bool:
-    """Return whether fits without each trial predict it better than others do.
+    """Return whether the state predicts left-out trials better than others do.
 
-    others: of each trial, without the cause.
+    others: predictions of each trial without the cause.
     """
     data = state.prepared.data
     gains = log_likelihood_gains(others, state.predictions)
@@ -225,7 +224,7 @@ def _are_predicted_better(
 
 
 def reason_if_small(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> str:
-    """Say by how little a fit moves the tip from its parent, or nothing."""
+    """Return the reason why the last cause of a fit is small; empty if it is not."""
     if moves_tip_enough(data, parent, fit, criteria):
         return ""
     shift_mm = MM_PER_M * tip_shift_rms(data, parent, fit).max()

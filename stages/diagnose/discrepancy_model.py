@@ -1,10 +1,10 @@
-"""The model of what a hypothesis may leave unexplained in each trial.
+"""The model of each trial's discrepancy and random effects.
 
 A cause may differ from trial to trial, as when the string is picked up again. It then
-has an amplitude that all trials share, and one of each trial about it (random effects:
-Laird and Ware, Biometrics 38, 963, 1982). To first order the latter is a displacement
-of known shape whose amplitude is integrated out. The data determine how far trials
-differ at the tip; that may be zero.
+has an amplitude that all trials share, and a deviation in each trial (random effects:
+Laird and Ware, Biometrics 38, 963, 1982). To first order, the deviation is a
+displacement of known shape whose amplitude is integrated out. Its standard deviation at
+the tip, which may be zero, is estimated from the data.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 from stringcast.stages.model.parameter import parameter_values
 
-MIN_RELATIVE_SENSITIVITY = 0.1  # of the largest: early frames are not exact either
+MIN_RELATIVE_SENSITIVITY = 0.1  # of the largest: early frames have discrepancy, too
 
 
 def attach_discrepancy_model(
@@ -42,17 +42,17 @@ def attach_discrepancy_model(
 ) -> TrialData:
     """Attach a Gaussian-process discrepancy and random effects to each trial.
 
-    The discrepancy grows as the trial's `growth`, which is measured where it is not
-    known yet.
+    The size of the discrepancy follows the trial's `growth`, which is computed if it is
+    missing.
 
     Parameters
     ----------
     trials : sequence of PreparedTrial, length K
     hypothesis : Hypothesis
     chi : numpy.ndarray, shape (P,)
-        Exponents of the hypothesis about which initial states are linearised.
+        Exponents of the hypothesis at which initial states are linearised.
     error_shapes : sequence of numpy.ndarray, shape (2 n, D), optional
-        Displacements over sigma of each trial with standard normal amplitudes.
+        Further displacements of each trial over sigma, with amplitudes N(0, 1).
 
     Returns
     -------
@@ -78,10 +78,10 @@ def with_growth(
     hypothesis: Hypothesis,
     chi: np.ndarray,
 ) -> list[PreparedTrial]:
-    """Measure how small changes of the parameters grow in trials of unknown growth.
+    """Compute the relative sensitivity to the parameters by frame where it is missing.
 
     It is the root mean square over points and over parameters, each parameter scaled to
-    the same mean. Measured once, it is the same for all hypotheses.
+    the same mean. It is computed once and used for all hypotheses.
     """
     unknown = [trial for trial in trials if not trial.growth.size]
     if not unknown:
@@ -112,7 +112,7 @@ def with_random_effects(
     hypothesis: Hypothesis,
     chi: np.ndarray,
 ) -> TrialData:
-    """Add random effects of a hypothesis at exponents (P,), of the likeliest widths."""
+    """Add random effects of a hypothesis at exponents (P,), with most likely widths."""
     for cause in hypothesis.causes:
         if not cause.varies_between_trials:
             continue
@@ -123,8 +123,8 @@ def with_random_effects(
             random_effects = {**data.random_effects, cause.name: scaled}
             tried.append(replace(data, random_effects=random_effects))
         log_likelihoods = []
-        for each in tried:
-            extended = each.for_hypothesis(hypothesis)
+        for option in tried:
+            extended = option.for_hypothesis(hypothesis)
             by_grid_point = extended.log_likelihood_by_grid_point(residuals)
             log_likelihoods.append(marginal_log_likelihood(by_grid_point).sum())
         data = tried[int(np.argmax(log_likelihoods))]
@@ -137,13 +137,13 @@ def _shapes_per_metre(
     cause: type[Effect],
     chi: np.ndarray,
 ) -> tuple[ByTrial, ByTrial]:
-    """Simulate how the amplitudes of a cause move each trial by 1 m at the tip.
+    """Compute the displacement by each amplitude of a cause, scaled to 1 m at the tip.
 
     Returns
     -------
     residuals : list of numpy.ndarray, shape (1, 2 n)
     shapes : list of numpy.ndarray, shape (2 n, m)
-        Over sigma.
+        Displacements of each trial over sigma.
     """
     indices = hypothesis.amplitude_indices(cause)
     offset = solver.difference_offsets(chi[indices], solver.FIRST_DIFFERENCE)

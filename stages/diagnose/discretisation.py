@@ -1,8 +1,8 @@
 """Discretisation error: extrapolated from finer meshes and subtracted from the data.
 
-Deferred correction [1]_: the error of the mesh at a fit is subtracted from what was
-measured, so that simulations of candidates stay cheap. How the error changes with the
-parameters follows from differences about the fit (manifold mapping [2]_).
+Deferred correction [1]_: the error of the mesh at a fit is subtracted from the measured
+points, so that candidates can be simulated on the coarse mesh. The change of the error
+with the parameters follows from finite differences (manifold mapping [2]_).
 
 References
 ----------
@@ -50,21 +50,21 @@ from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
 
-# 1 mm of error at the tip in a plain cast, which is corrected
+# The tip error of a plain cast is 1 mm before correction
 SEGMENTS = 20
-STEP_S = ABRUPT_STEP_S  # for any cause
+STEP_S = ABRUPT_STEP_S  # accurate enough for any cause
 LONGEST_STEP_S = 4e-3  # where the motion is gentle (`time_step`)
-MAX_CORRECTION_PASSES = 8  # it mostly takes two
-# Of the uncertainty of an error to the error itself. Extrapolation takes an error to
-# fall by 4 as segments are halved (order 2). If it falls by 2^p, |4 / 2^p - 1| / 4 of
-# it is uncertain: a quarter where p = 1.
+MAX_CORRECTION_PASSES = 8  # usually two are enough
+# Ratio of the uncertainty of an error to the error. Extrapolation assumes that errors
+# fall by 4 as segments are halved (order 2). If one falls by 2^p, |4 / 2^p - 1| / 4 of
+# it is uncertain: a quarter at p = 1.
 MAX_UNCERTAINTY_RATIO = 0.25
 
 
 def with_second_order_mesh(model: Model) -> Model:
-    """Replace the mesh by half cells at the ends and implicit steps.
+    """Use a mesh with half cells at the ends, and implicit steps.
 
-    The error of the mass points is then of second order, and extrapolates.
+    The discretisation error is then of second order and can be extrapolated.
     """
     string = replace(
         model.string,
@@ -80,17 +80,17 @@ def with_second_order_mesh(model: Model) -> Model:
 def correct_data_at(prepared: PreparedData, fit: Fit) -> PreparedData:
     """Redo the corrections of the measured trials at the optimum of a fit.
 
-    Each correction is linear about those before it, so the order is fixed. The noise
-    was estimated before; it changes only when a cause is added (`reestimate_noise`).
+    Each correction is linearised at those before it, so the order is fixed. The noise
+    is re-estimated only when a cause is added (`reestimate_noise`).
     """
-    # 1. The initial state of each trial that is most probable given the fit
+    # 1. The most probable initial state of each trial given the fit
     restarted = trials_with_reestimated_start(prepared.data, fit)
     trials = with_initial_states_of(prepared.trials, restarted)
 
-    # 2. Discretisation error at the fit, 3. discrepancy model about the corrected data
+    # 2. Discretisation error at the fit, 3. discrepancy model of the corrected data
     data, uncertainty_m = corrected_data_of(prepared, trials, fit)
 
-    # How the discretisation error changes with the parameters, about the fit
+    # 4. Change of the discretisation error with the parameters, centred at the fit
     data = replace(data, mesh_correction=_centred_mesh_correction(prepared, fit))
     return replace(
         prepared,
@@ -105,13 +105,13 @@ def corrected_data_of(
     trials: Sequence[PreparedTrial],
     fit: Fit,
 ) -> tuple[TrialData, np.ndarray]:
-    """Correct any trials at a fit, by the same mesh as the prepared ones.
+    """Correct any trials at a fit, with the same mesh as the prepared ones.
 
     Returns
     -------
     data : TrialData
     uncertainty_m : numpy.ndarray, shape (K,)
-        Of the discretisation error at each tip [m].
+        Uncertainty of the discretisation error at each tip [m].
     """
     if prepared.mesh_is_model:
         simulated = with_model(trials, fit.hypothesis.model)
@@ -127,13 +127,13 @@ def subtract_discretisation_error(
 ) -> tuple[TrialData, np.ndarray]:
     """Subtract the discretisation error of a hypothesis from measured trials.
 
-    The uncertain part keeps its shape and gets a standard normal amplitude.
+    The uncertain part becomes a nuisance with a standard normal amplitude.
 
     Returns
     -------
     data : TrialData
     uncertainty_m : numpy.ndarray, shape (K,)
-        Of the discretisation error at each tip [m].
+        Uncertainty of the discretisation error at each tip [m].
     """
     corrected = []
     errors, uncertainties = extrapolate_errors(hypothesis.model, trials, chi)
@@ -147,7 +147,7 @@ def subtract_discretisation_error(
 
 
 def discretisation_uncertainty_of(prepared: PreparedData, fit: Fit) -> np.ndarray:
-    """Compute how uncertain the discretisation error of a fit is at each tip [m], (K,).
+    """Compute the uncertainty of a fit's discretisation error at each tip [m], (K,).
 
     See `subtract_discretisation_error`.
     """
@@ -159,9 +159,9 @@ def discretisation_uncertainty_of(prepared: PreparedData, fit: Fit) -> np.ndarra
 def discretisation_uncertainty(
     trials: Sequence[PreparedTrial], hypothesis: Hypothesis, chi: np.ndarray
 ) -> np.ndarray:
-    """Compute how uncertain the discretisation error is at each trial's tip [m], (K,).
+    """Compute the uncertainty of the discretisation error at each tip [m], (K,).
 
-    It is infinite where a simulation diverges.
+    It is infinite if a simulation diverges.
 
     chi: exponents of the hypothesis, (P,).
     """
@@ -171,10 +171,9 @@ def discretisation_uncertainty(
 
 
 def correct_data_on_one_finer_mesh(prepared: PreparedData, fit: Fit) -> TrialData:
-    """Subtract the discretisation error of a fit as one finer mesh estimates it.
+    """Subtract the discretisation error of a fit, estimated from one finer mesh.
 
-    The discrepancy model stays as it is. At a tenth of the cost of `correct_data_at`
-    this shows whether a fit is worth the full correction.
+    The discrepancy model is kept. This has a tenth of the cost of `correct_data_at`.
     """
     if prepared.mesh_is_model:
         return prepared.data
@@ -200,7 +199,7 @@ def _centred_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection
 def refine_to_convergence(prepared: PreparedData, fit: Fit) -> RefinedFit:
     """Alternate correction and fit until the evidence gains no more.
 
-    Where a string whips, its discretisation error differs at every step on the way.
+    The discretisation error of a string that whips changes at every step.
     """
     current = RefinedFit(prepared, fit)
     for _ in range(MAX_CORRECTION_PASSES):
@@ -212,12 +211,12 @@ def refine_to_convergence(prepared: PreparedData, fit: Fit) -> RefinedFit:
 
 
 def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
-    """Correct the data at a fit, refit, and correct again, unless that leads away."""
+    """Correct the data at a fit, refit, and correct again if the evidence improves."""
     corrected = correct_data_at(prepared, fit)
     if prepared.mesh_is_model:
         return RefinedFit(corrected, refit(corrected.data, fit, fit.hypothesis))
 
-    # The fit follows the error as it changes with the parameters ...
+    # Refit with the error's linear change with the parameters
     hypothesis = fit.hypothesis
     unmoved = evaluate_fit(corrected.data, hypothesis, fit.chi, fit.width)
     mesh_correction = fit_mesh_correction(corrected, unmoved)
@@ -230,8 +229,7 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
         NEGLIGIBLE_LOG_EVIDENCE,
     )
 
-    # ... and the error is then computed where the fit ended. Of the fit there, only
-    # the exponents are known and needed.
+    # Compute the error at the new optimum, for which only its exponents are needed
     moved = correct_data_at(corrected, replace(unmoved, chi=chi))
     mesh_correction = replace(mesh_correction, chi=chi)
     moved = replace(moved, data=replace(moved.data, mesh_correction=mesh_correction))
@@ -242,11 +240,11 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
 
 
 def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
-    """Measure how the discretisation error changes with the parameters of a fit.
+    """Compute the change of the discretisation error with the parameters of a fit.
 
-    Differences on this mesh and on one of half the size are extrapolated. Trials whose
-    error does not fall by at least 2 as segments are halved get no slopes: those of
-    chaotic motion lead astray.
+    It is extrapolated from this mesh and one with segments of half the length. A trial
+    whose error falls by less than 2 between them gets no slopes: those of a chaotic
+    motion would mislead.
     """
     hypothesis = fit.hypothesis
     data = prepared.data
@@ -270,7 +268,7 @@ def fit_mesh_correction(prepared: PreparedData, fit: Fit) -> MeshCorrection:
 def unresolvable_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:
     """Name trials whose discretisation error is uncertain by the tolerance or more.
 
-    Returns an empty list where too few trials would remain.
+    Returns an empty list if too few trials would remain.
     """
     is_resolved = prepared.discretisation_uncertainty_m < tolerance_m
     if is_resolved.sum() < MIN_RESOLVED_TRIALS:
@@ -279,7 +277,7 @@ def unresolvable_trials(prepared: PreparedData, tolerance_m: float) -> list[str]
 
 
 def exclude_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> PreparedData:
-    """Exclude unresolvable trials and refit the base model: they say nothing of causes.
+    """Exclude unresolvable trials and refit the base model.
 
     Trials in `keep_if_chaotic` stay.
     """
@@ -294,13 +292,13 @@ def exclude_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> Prepar
 
 
 def names_of_chaotic_trials(prepared: PreparedData, tolerance_m: float) -> list[str]:
-    """Name unresolvable trials but for those in `keep_if_chaotic`."""
+    """Name unresolvable trials except those in `keep_if_chaotic`."""
     unresolvable = unresolvable_trials(prepared, tolerance_m)
     return [name for name in unresolvable if name not in prepared.keep_if_chaotic]
 
 
 def without_trials(prepared: PreparedData, names: Sequence[str]) -> PreparedData:
-    """Leave out trials that are chaotic; the base model stays as it is."""
+    """Leave out chaotic trials, without refitting the base model."""
     kept = [k for k, trial in enumerate(prepared.trials) if trial.name not in names]
     data = prepared.data.subset(kept)
     base = prepared.base_fit

@@ -1,8 +1,8 @@
 """Forward selection of causes by Bayes factors, as a sum of single effects (SuSiE).
 
-For every cause in the sum all candidates compete, and none among them; candidates that
-explain as much as the best stay as its look-alikes (Wang, Sarkar, Carbonetto, Stephens,
-J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
+For every cause in the sum all candidates and "no cause" compete. Candidates that
+explain as much as the best are kept as its look-alikes (Wang, Sarkar, Carbonetto,
+Stephens, J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def select_causes(
 ) -> Iterator[SelectionState]:
     """Add one cause at a time to a state while the evidence supports it.
 
-    Yields the state after each cause, and at the end the state without causes that
-    trials left out do not confirm.
+    Yields the state after each cause, and finally the state without causes that
+    left-out trials do not confirm.
     """
     for number in range(len(state.nameable_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])
@@ -70,7 +70,7 @@ def select_causes(
         state = exchange_two_causes(state, criteria)
         state = drop_redundant_causes(state, criteria)
         if state.fit.hypothesis.causes == before:
-            break  # it is not needed after all, and would be found again
+            break  # the new cause was redundant and would be found again
         yield state
     yield drop_unconfirmed_causes(state, criteria, len(effects))
 
@@ -83,7 +83,7 @@ def _add_step(
 ) -> SelectionState:
     """Compare all candidates for one more cause.
 
-    Candidates may lead to a better fit without a further cause, which is taken.
+    A better fit without a further cause replaces the state's fit.
     """
     step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
     parent = step.parent
@@ -96,9 +96,9 @@ def _add_step(
 
 
 def _hides_others(state: SelectionState, criteria: Criteria) -> bool:
-    """Return whether the best cause of the last step is evident, small, and not alone.
+    """Return whether the best cause of the last step is evident but too small.
 
-    What moves the tip less than counts may be more evident than what moves it more,
+    A cause that hardly moves the tip may be more evident than one that moves it more,
     such as a small offset of the clocks in fast motions.
     """
     data = state.prepared.data
@@ -116,7 +116,7 @@ def _add_small_cause(
     rng: np.random.Generator,
     starts: int,
 ) -> SelectionState:
-    """Add the best cause of the last step, so that others are sought besides it."""
+    """Add the best cause of the last step, to search others in addition to it."""
     best = state.steps[-1].best
     assert best is not None
     cause = best.hypothesis.causes[-1]
@@ -130,7 +130,7 @@ def _set_aside_if_small(
     step: SelectionStep,
     criteria: Criteria,
 ) -> SelectionState:
-    """Set aside the best cause of a step that is evident and hardly moves the tip."""
+    """Set aside the best cause of a step if it is evident but hardly moves the tip."""
     data = state.prepared.data
     best = step.best
     if best is None or not has_evidence(step.parent, best, criteria):

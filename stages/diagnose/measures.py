@@ -1,4 +1,4 @@
-"""Numbers by which fits are compared: at the tip, in evidence, trial by trial."""
+"""Measures by which fits are compared: displacements at the tip and evidence."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def refit(
     hypothesis: Hypothesis,
     min_gain: float = MIN_GAIN,
 ) -> Fit:
-    """Fit a hypothesis, of the fit or another, from the parameters of a fit.
+    """Fit a hypothesis from the parameters of any fit.
 
-    min_gain: a step that gains less of the log-likelihood ends its turn.
+    min_gain: a step that gains less log-likelihood is slow (`solver`).
     """
     start = hypothesis.exponents_from(fit.exponents)
     return fit_hypothesis(data, hypothesis, start[None], fit.grid_points, min_gain)
@@ -41,10 +41,10 @@ def refit(
 def fit_in_workers(
     fit_one: Callable[[int], Fit], hypotheses: Sequence[Hypothesis]
 ) -> list[Fit]:
-    """Fit hypotheses side by side.
+    """Fit hypotheses in parallel.
 
-    fit_one: fits the hypothesis of a number. A worker returns a copy of it, in the
-    place of which each fit gets the given one.
+    fit_one: fits the hypothesis with a given index. Workers return copies of
+    hypotheses, which are replaced by the originals.
     """
     fitted = map_in_workers(fit_one, range(len(hypotheses)))
     pairs = zip(fitted, hypotheses, strict=True)
@@ -59,7 +59,7 @@ def in_different_places(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def residuals_without_nuisance(data: TrialData, fit: Fit) -> ByTrial:
-    """Subtract what the nuisance most likely explains of a fit's residuals, (2 n,)."""
+    """Subtract the most likely nuisance from a fit's residuals, (2 n,)."""
     extended = data.for_hypothesis(fit.hypothesis)
     return extended.without_nuisance(fit.residuals, fit.grid_points)
 
@@ -70,9 +70,9 @@ def unexplained_tip_rms(data: TrialData, fit: Fit) -> np.ndarray:
 
 
 def sample_by_misfit(data: TrialData, fit: Fit, count: int) -> list[int]:
-    """Choose up to `count` trials evenly, from the largest misfit to the least.
+    """Choose up to `count` trials, spaced evenly in the order of their misfit.
 
-    Returns their numbers, in order.
+    Returns their indices, sorted.
     """
     ranked = np.argsort(-unexplained_tip_rms(data, fit), kind="stable")
     return sorted(ranked[choose_evenly(len(ranked), count)].tolist())
@@ -93,15 +93,15 @@ def mean_explained_fraction(
 ) -> float:
     """Average the explained fraction over trials that misfit by more than a tolerance.
 
-    Every trial has one vote, however large its misfit.
+    All trials have the same weight, however large their misfit.
 
     Parameters
     ----------
     before, after : numpy.ndarray, shape (K,)
         Unexplained tip displacement of each trial by two fits [m].
     tolerance_m : float
-        Trials in which neither fit exceeds it do not count. If none does, the trial
-        with the largest misfit counts.
+        Trials in which neither fit exceeds it are left out. If none exceeds it, only
+        the trial with the largest misfit is used.
     """
     misfit = np.maximum(before, after)
     counted = misfit >= min(tolerance_m, misfit.max())
@@ -109,9 +109,11 @@ def mean_explained_fraction(
 
 
 def explained_fractions(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Compute how much of the mean square misfit [m] a second fit removes, (K,).
+    """Compute the fraction of the mean square misfit that a second fit removes, (K,).
 
-    Divided by the larger of both: 1 if nothing is left, -1 if nothing was there before.
+    It is relative to the larger of both: 1 if nothing is left, -1 if there was nothing.
+
+    before, after: root mean squares of both fits, (K,) [m].
     """
     before = before**2
     after = after**2
@@ -120,7 +122,7 @@ def explained_fractions(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def fixed_leave_one_out_gain(parent: Fit, fit: Fit) -> float:
-    """Gain of log evidence without the most supportive trial, both fits staying."""
+    """Gain of log evidence without the most supportive trial, both fits unchanged."""
     by_trial = fit.log_likelihood_by_trial - parent.log_likelihood_by_trial
     return float(fit.log_evidence - parent.log_evidence - by_trial.max())
 
@@ -128,7 +130,7 @@ def fixed_leave_one_out_gain(parent: Fit, fit: Fit) -> float:
 def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
     """Gain of log evidence without the most supportive trial, both fits refitted.
 
-    That trial may have led the fit astray.
+    That trial may have biased the fit.
     """
     gains = fit.log_likelihood_by_trial - parent.log_likelihood_by_trial
     strongest = int(np.argmax(gains))
@@ -145,10 +147,11 @@ def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float
 
 
 def cross_validated_gain(data: TrialData, parent: Fit, fit: Fit) -> float:
-    """Gain of the predictive log-likelihood, but for the trial that gains most.
+    """Gain of the predictive log-likelihood, without the trial that gains most.
 
-    Each trial is predicted by the fit to the others: a parent may explain one trial at
-    the cost of another, which alone then supports a cause that explains both.
+    Each trial is predicted by the fit to the others. A parent may explain one trial at
+    the cost of another; then only the latter seems to support a cause that explains
+    both.
     """
     without = predict_left_out_trials(data, parent)
     gains = log_likelihood_gains(without, predict_left_out_trials(data, fit))

@@ -1,4 +1,4 @@
-"""Outliers and noise."""
+"""Estimation of noise and removal of outliers."""
 
 from __future__ import annotations
 
@@ -26,10 +26,12 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.model import Model
 
-OVERRULING_NOISE_RATIO = 1.3  # of estimated to given noise: from there the data decide
+# Estimated over given noise: above this ratio the estimate replaces the given noise
+OVERRULING_NOISE_RATIO = 1.3
 OUTLIER_SIGMAS = 6.0  # from smooth motion: one point in 5e8 by chance
 OUTLIER_PASSES = 3  # one outlier may hide another
-OUTLIER_RETENTION = 0.5  # if a better fit leaves fewer, the poorer fit made them
+# If a better fit leaves a smaller share of the outliers, they were misfit
+OUTLIER_RETENTION = 0.5
 
 
 def estimate_initial_noise(
@@ -39,8 +41,7 @@ def estimate_initial_noise(
 ) -> tuple[tuple[PreparedTrial, ...], tuple[PreparedTrial, ...]]:
     """Set the noise of all trials from the residuals of the base model.
 
-    Noise is what residuals have in addition to smooth motion; smooth misfit of the
-    model does not count.
+    Smooth motion is first removed from the residuals: it is misfit of the model.
 
     Returns
     -------
@@ -101,7 +102,7 @@ def estimate_noise(
     ----------
     residuals : sequence of numpy.ndarray, shape (n, 2) or (2 n,)
     noise_is_given : bool
-        Whether to keep white noise where less noise is found than is given.
+        Whether to keep white noise if less noise is found than is given.
     """
     tracks = []
     for trial, residual in zip(trials, residuals, strict=True):
@@ -117,13 +118,13 @@ def remove_outliers(
     model: Model,
     chi: np.ndarray,
 ) -> tuple[tuple[PreparedTrial, ...], ByTrial, list[float]]:
-    """Remove points far from smooth motion about a model at exponents (P,).
+    """Remove points whose residual at exponents (P,) is far from smooth motion.
 
     Returns
     -------
     trials : tuple of PreparedTrial
     residuals : list of numpy.ndarray, shape (n, 2)
-        Of the remaining points, over sigma.
+        Residuals of the remaining points over sigma.
     levels : list of float
         Noise of each trial over sigma.
     """

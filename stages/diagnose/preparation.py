@@ -54,7 +54,7 @@ from stringcast.stages.inference.prepared_trial import (
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 
-INITIAL_NOISE_M = 1e-3  # before anything is known
+INITIAL_NOISE_M = 1e-3  # before noise is estimated
 
 log = logging.getLogger(__name__)
 
@@ -100,13 +100,13 @@ def prepare_data(
     model : Model
     observations : sequence of Observation, length K
     tolerance_m : float
-        To which the tip of a trial must be resolved by simulation [m].
+        Tolerance to which simulation must resolve the tip of a trial [m].
     rng : numpy.random.Generator
     starts : int
         Number of starts of the search for the base model's parameters.
     progress : callable
     longest_step_s : float
-        Of the simulation, where longer steps cost no accuracy [s].
+        Limit of the time step where long steps are accurate [s].
     keep_if_chaotic : sequence of str
         Names of trials that need not be resolved.
 
@@ -115,7 +115,7 @@ def prepare_data(
     DataError
         If a trial cannot be used.
     """
-    # Trials without the rest at their end, and without frames that say little
+    # Trials without the rest at their end and without superfluous frames
     second_order = with_second_order_mesh(model)
     noise_is_given = all("sigma" in o.points for o in observations)
     chosen = []
@@ -140,7 +140,7 @@ def prepare_data(
     )
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
-    # Discretisation error, discrepancy model, and the fit by its evidence
+    # Discretisation error, discrepancy model, and the fit with its evidence
     hypothesis = Hypothesis(likelihood.model)
     trials = tuple(with_growth(trials, hypothesis, chi))
     pairs = zip(with_outliers, trials, strict=True)
@@ -166,8 +166,8 @@ def fit_base_model_to_resolved_trials(
 ) -> PreparedData:
     """Fit the base model to the trials that simulation resolves.
 
-    A chaotic trial leads fits astray, and makes them slow. It is left out from the
-    start, and returns if the fit to the others resolves it.
+    A chaotic trial biases fits and makes them slow. It is left out at first, and is
+    used again if the fit to the others resolves it.
     """
     chaotic = names_of_chaotic_trials(prepared, tolerance_m)
     if not chaotic:
@@ -188,14 +188,14 @@ def fit_base_model_to_resolved_trials(
 def refine_base_model(prepared: PreparedData) -> PreparedData:
     """Correct the data at the base model until its evidence gains no more.
 
-    A fit to the beginnings of trials replaces it if that has more evidence, also with
-    the numerical error of where it ends.
+    A fit to the beginnings of trials replaces it if it has more evidence, also with its
+    own numerical error.
     """
     refined = refine_to_convergence(prepared, prepared.base_fit)
     restarted = fit_from_beginnings(refined.prepared.data, refined.fit)
     if restarted.log_evidence > refined.fit.log_evidence + STRONG_LOG_EVIDENCE:
         elsewhere = refine_to_convergence(refined.prepared, restarted)
-        refined = max(refined, elsewhere, key=lambda each: each.fit.log_evidence)
+        refined = max(refined, elsewhere, key=lambda option: option.fit.log_evidence)
     return replace(refined.prepared, base_fit=refined.fit)
 
 
@@ -210,7 +210,7 @@ def prepare_further_trials(
     -------
     data : TrialData
     uncertainty_m : numpy.ndarray, shape (K,)
-        Of the discretisation error at each tip [m].
+        Uncertainty of the discretisation error at each tip [m].
     """
     base = prepared.base_fit
     model = base.hypothesis.model
@@ -237,9 +237,9 @@ def keep_configured_mesh_if_supported(
 ) -> PreparedData:
     """Make the configured mesh part of the model if the data clearly come from it.
 
-    Data of a simulated chain of mass points are nearer to that chain than to a
-    continuous string, and it leaves less than their noise. A measured string may be
-    nearer to it by chance.
+    Data of a simulated chain of mass points fit that chain better than a continuous
+    string, to within their noise. Without that last condition, a measured string might
+    by chance be nearer to the chain.
 
     fit: the base model, or one with causes.
     """
@@ -262,7 +262,7 @@ def keep_configured_mesh_if_supported(
 
 
 def _fit_configured_mesh(prepared: PreparedData, fit: Fit, model: Model) -> Fit | None:
-    """Fit a hypothesis on the configured mesh; None where that is the finer one."""
+    """Fit a hypothesis on the configured mesh; None if that is the finer one."""
     string = model.string
     fine = fit.hypothesis.base.string
     if string.points > fine.points and string.tip_cell == fine.tip_cell:

@@ -1,4 +1,4 @@
-"""The corrected trials that a search for causes works on."""
+"""The corrected trials in which causes are searched."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PreparedData:
     Attributes
     ----------
     data : TrialData
-        Trials with noise, without discretisation error, with a discrepancy model.
+        Trials with a noise and a discrepancy model, without discretisation error.
     base_fit : Fit
         The base model at its optimum.
     trials_with_outliers, trials : tuple of PreparedTrial
@@ -35,9 +35,9 @@ class PreparedData:
     keep_if_chaotic : tuple of str
         Names of trials that a simulation with causes resolves.
     configured_mesh_fit : Fit or None
-        The base model on the configured mesh; None where that is the finer mesh.
+        The base model on the configured mesh; None if that is the finer mesh.
     noise_is_given : bool
-        Whether the author of the data states its noise.
+        Whether the data state their noise.
     dense_points : int
         Number of points that were left out because frames are denser than needed.
     """
@@ -79,7 +79,7 @@ def with_initial_states_of(
     trials: Sequence[PreparedTrial],
     others: Sequence[PreparedTrial],
 ) -> tuple[PreparedTrial, ...]:
-    """Replace the initial state of each trial by that of another version of it."""
+    """Copy the initial state of each trial from another version of it."""
     pairs = zip(trials, others, strict=True)
     return tuple(
         replace(

@@ -1,6 +1,6 @@
 """Comparison of rivals: candidates that explain about as much as the best of them.
 
-They are fitted to common data, each with its own numerical error. The best is then
+They are fitted to common data, each with its own numerical error. Then the best is
 accepted or not.
 """
 
@@ -34,8 +34,8 @@ from stringcast.stages.inference.laplace import Fit
 
 log = logging.getLogger(__name__)
 
-MAX_RIVALS = 3  # that are compared at first
-CLOSE_PRECISIONS = 5  # by which a fit that ended so early may still change
+MAX_RIVALS = 3  # compared at first
+CLOSE_PRECISIONS = 5  # possible change of a roughly fitted rival, over its precision
 UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
@@ -47,12 +47,12 @@ def compare_rivals(
 ) -> SelectionStep:
     """Fit the best and its rivals to common data, and decide whether it is accepted.
 
-    before: the decision among fewer candidates; what was compared there stays.
+    before: the decision among fewer candidates; its compared fits are reused.
     """
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return step
 
-    # Common data mostly lower the evidence: none may lead because it was not compared
+    # Common data usually lower the evidence: a fit that is not compared must not lead
     least_evidence = least_evidence_of_rivals(step.fits, step.parent, criteria)
     rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
     min_gain = precision_to_rank(step.best_gain)
@@ -102,7 +102,7 @@ def _fit_new_rivals(
     before: SelectionStep,
     min_gain: float,
 ) -> list[Fit]:
-    """Fit the parent and rivals to common data, but for what was compared before."""
+    """Fit the parent and rivals to common data, except those compared before."""
     if not before.compared:
         new = [step.parent, *rivals]
         return fit_to_common_data(prepared, new, min_gain=min_gain)
@@ -118,14 +118,14 @@ def _fit_close_rivals_precisely(
     known: Sequence[Fit],
     min_gain: float,
 ) -> list[Fit]:
-    """Fit rivals again that are too close to the best to be told apart from it.
+    """Refit rivals that are too close to the best to be ranked.
 
     Parameters
     ----------
     ranked, known : sequence of Fit
-        Rivals, and all that was fitted to common data.
+        Rivals, and all fits to common data.
     min_gain : float
-        Of the log evidence, to which the rivals were fitted.
+        Precision in log evidence to which the rivals were fitted.
     """
     best = max((fit.log_evidence for fit in ranked), default=0.0)
     least_evidence = best - CLOSE_PRECISIONS * min_gain
@@ -148,9 +148,9 @@ def _split_by_resolution(
 ) -> tuple[list[Fit], list[Fit]]:
     """Split rivals by whether simulation with them resolves enough trials to lead.
 
-    What is uncertain in the others may explain anything. In the place of a cause that
-    was accepted a rival must resolve all trials. One that resolves fewer than half
-    does not lead another that resolves these and explains half as much: most trials
+    The numerical uncertainty of the others may explain their gain. A rival of an
+    accepted cause must resolve all trials. One that resolves fewer than half cannot
+    lead another that resolves these and explains half as much, because most trials
     would be left out.
     """
     before_m = prepared.discretisation_uncertainty_m
@@ -159,7 +159,7 @@ def _split_by_resolution(
     allowance_m = np.zeros(trials)
     if step.contested is None:
         needed = min(MIN_RESOLVED_TRIALS, trials)
-        # A fraction of mean squares, and the roots of both
+        # A fraction of the mean squares, hence the root
         misfit_m = unexplained_tip_rms(prepared.data, step.parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
     half = (trials + 1) // 2
@@ -195,7 +195,7 @@ def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> lis
 def _catch_up_with_parent(
     prepared: PreparedData, parent: Fit, compared: Sequence[Fit]
 ) -> list[Fit]:
-    """Fit those again from their parent that explain less: they hold all it does."""
+    """Refit rivals from their parent that explain less than it, which they contain."""
 
     def log_likelihood(fit: Fit) -> float:
         return float(fit.log_likelihood_by_trial.sum())
@@ -211,9 +211,9 @@ def _fit_some_again(
     numbers: Sequence[int],
     known: Sequence[Fit],
 ) -> list[Fit]:
-    """Fit those with some numbers again to common data; return all.
+    """Refit those with some indices to common data; return all.
 
-    known: fits to common data, from the best of which they begin as well.
+    known: fits to common data, the best of which is a further start.
     """
     updated = list(fits)
     refitted = fit_to_common_data(prepared, [fits[k] for k in numbers], known)
@@ -223,7 +223,7 @@ def _fit_some_again(
 
 
 def _shift_evidence(fits: Sequence[Fit], shift: float) -> list[Fit]:
-    """Shift the log evidence of fits, as that of their parent on common data is."""
+    """Shift the log evidence of fits as that of their parent changed."""
     return [replace(fit, log_evidence=fit.log_evidence + shift) for fit in fits]
 
 
@@ -241,6 +241,6 @@ def _is_overtaken(
         return has_evidence(parent, other, criteria)
     best = compared[0]
     leads = rank_rivals(parent, [best, other], criteria)[0] is other
-    # With less evidence it leads because the best is at the end of its range
+    # If it leads with less evidence, the best is at the end of its range
     is_behind = other.log_evidence < best.log_evidence
     return leads and (is_behind or has_evidence(best, other, criteria))

@@ -1,32 +1,33 @@
 """The rules that decide whether a cause is accepted and what the verdict is.
 
-A **candidate** is compared with the fit without it (its parent). One at the end of its
-range goes after rivals inside theirs that explain `min_explained_fraction` of as much:
+A **candidate** is compared with the fit without it (its parent). A candidate at the end
+of its range ranks below rivals inside their ranges that explain at least
+`min_explained_fraction` of what it does:
 
 =========================  =========================================================
 rule                       passes if
 =========================  =========================================================
 `is_resolved`              simulation with it resolves at least two trials, or all
                            trials if it would replace an accepted cause; if not, it
-                           is no more than indistinguishable from the best
+                           can only be indistinguishable from the best
 `has_evidence`             its Bayes factor is at least 1/alpha
 `moves_tip_enough`         it moves the tip of a trial by `tip_tolerance_m`
 `explains_its_only_trial`  it touches the string in a single trial, and removes
                            `min_explained_fraction` of the misfit there
 `survives_leave_one_out`   its Bayes factor exceeds 1/alpha without the trial that
-                           supports it most: fits kept, refitted, or cross-validated
+                           supports it most (fits kept, refitted, or cross-validated)
 =========================  =========================================================
 
 An **accepted cause** stays while later causes are added:
 
 =========================  =========================================================
 `is_needed`                without it the Bayes factor drops by more than 1/alpha
-`predicts_heldout`         trials are predicted by fits to the others: it raises the
-                           likelihood of the median trial, and tips are closer
-`is_inside_range`          none of its amplitudes is at an end of its range, or
-                           too small to be what it is
-`trials_agree`             if misfit remains, it is there with a probability above
-                           one half by how fits without one trial each scatter
+`predicts_heldout`         in predictions of each trial from the others, it raises
+                           the likelihood of the median trial and brings tips closer
+`is_inside_range`          none of its amplitudes is at an end of its range or below
+                           its least meaningful size
+`trials_agree`             if misfit remains, its probability from the scatter of
+                           leave-one-out fits is above one half
 =========================  =========================================================
 
 The **verdict** names the accepted causes only if all of these pass:
@@ -36,15 +37,15 @@ The **verdict** names the accepted causes only if all of these pass:
 `can_be_confirmed`         there is a second trial
 `explains_enough`          the causes remove `min_explained_fraction` of the misfit;
                            if misfit remains, they make it smaller
-`predicts_better`          the extended model predicts trials that it was not fitted
-                           to better; if misfit remains, their tips are closer
+`predicts_better`          the extended model predicts held-out trials better; if
+                           misfit remains, their tips are closer
 =========================  =========================================================
 
-If misfit remains, the verdict on the named causes is `partial`. Whether they are there
-is then judged by two things: their effect is the same in all trials (`trials_agree`),
-and they leave little where the model holds (`stand_ins`).
-"Misfit remains" (`misfit_remains`) if the tip of some trial is off by more than
-`tip_tolerance_m` with a probability above one half.
+If misfit remains, the verdict on the named causes is `partial`. Their probability then
+depends on two things: whether their effect is the same in all trials (`trials_agree`),
+and whether they leave little where the model holds (`stand_ins`).
+"Misfit remains" (`misfit_remains`) if the unexplained displacement of some trial's tip
+exceeds `tip_tolerance_m` with a probability above one half.
 """
 
 from __future__ import annotations
@@ -70,8 +71,8 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect, amplitude_parameters
 
 STRONG_LOG_EVIDENCE = 5.0  # by Jeffreys' scale
-NEGLIGIBLE_LOG_EVIDENCE = 1.0  # not worth a mention, by the same
-MIN_RESOLVED_TRIALS = 2  # what is found in one could not be confirmed by another
+NEGLIGIBLE_LOG_EVIDENCE = 1.0  # "not worth more than a bare mention" on that scale
+MIN_RESOLVED_TRIALS = 2  # one to find a cause and one to confirm it
 
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Metres = Annotated[float, Field(gt=0, lt=0.1)]
@@ -79,7 +80,7 @@ Metres = Annotated[float, Field(gt=0, lt=0.1)]
 
 @dataclass(frozen=True)
 class Criteria:
-    """The numbers that decide.
+    """The thresholds of the rules.
 
     Attributes
     ----------
@@ -89,8 +90,8 @@ class Criteria:
     alpha : float
         A cause is accepted with a Bayes factor of at least its inverse.
     tip_tolerance_m : float
-        What counts at the tip [m]: more misfit must be explained, and a cause that
-        moves it less is too small to report. Trials must be resolved to it.
+        Tolerance at the tip [m]: a larger misfit must be explained, a cause that moves
+        the tip less is too small to report, and simulations must be this accurate.
     min_explained_fraction : float
         Fraction of the mean square misfit that causes must remove.
     """
@@ -103,12 +104,12 @@ class Criteria:
 
     @property
     def min_log_bayes_factor(self) -> float:
-        """Logarithm of the Bayes factor from which a cause is accepted."""
+        """Logarithm of the least Bayes factor of an accepted cause."""
         return float(-np.log(self.alpha))
 
     @property
     def deciding_log_odds(self) -> float:
-        """Log odds from which one of two hypotheses makes a credible set alone."""
+        """Least log odds at which one of two hypotheses alone is the credible set."""
         return float(np.log(self.coverage / (1 - self.coverage)))
 
 
@@ -123,22 +124,23 @@ class VerdictNumbers:
     causes : tuple of str
         Causes that were accepted.
     credible_sets : tuple of tuple of str
-        For each place that more likely holds a cause than not, the effects that explain
-        the trials about equally well.
+        For each place that probably has a cause, the effects that explain the trials
+        about equally well.
     inclusion_probability : dict
         Probability that each effect is active.
     diverged : bool
-        Whether a trial cannot be simulated with the fitted parameters.
+        Whether the simulation of a trial diverges with the fitted parameters.
     misfit_probability, base_misfit_probability : float
-        That the extended or the base model is off by more than the tolerance.
+        Probability that the misfit of the extended or the base model exceeds the
+        tolerance.
     explained_fraction : float
-        Of the base model's mean square misfit, by the causes together.
+        Fraction of the base model's mean square misfit that all causes remove.
     mesh_too_coarse : bool
         Whether the configured mesh alone displaces the tip by more than the tolerance.
     heldout_is_closer : bool
-        Whether the extended model predicts trials better that it was not fitted to.
+        Whether the extended model predicts held-out trials better.
     heldout_explained_fraction : float
-        Of the base model's misfit in these trials.
+        Fraction of the base model's misfit in these trials that it removes.
     """
 
     trials: int
@@ -166,13 +168,13 @@ def is_resolved(
     Parameters
     ----------
     uncertainty_m, before_m : numpy.ndarray, shape (K,)
-        Of the discretisation error at each tip with the candidate and without [m]. It
-        may reach the tolerance, that of the worst trial without the candidate, or a
-        misfit that may remain in the trial anyway.
+        Uncertainty of the discretisation error at each tip with the candidate and
+        without [m]. A trial is resolved if it is at most the tolerance, the largest
+        uncertainty without the candidate, or `misfit_allowance_m`.
     needed : int
         Number of trials that must be resolved.
     misfit_allowance_m : numpy.ndarray, shape (K,)
-        That misfit [m].
+        Misfit of each trial that may remain anyway [m].
     """
     allowed = max(before_m.max(), criteria.tip_tolerance_m)
     allowed = np.maximum(allowed, misfit_allowance_m)
@@ -216,7 +218,7 @@ def survives_leave_one_out(
     fit: Fit,
     criteria: Criteria,
 ) -> bool:
-    """Whether the evidence for a fit does not rest on a single trial."""
+    """Whether the evidence for a fit does not depend on a single trial."""
     needed = criteria.min_log_bayes_factor
     return (
         fixed_leave_one_out_gain(parent, fit) > needed
@@ -226,14 +228,14 @@ def survives_leave_one_out(
 
 
 def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
-    """Whether the last cause of a fit is accepted in addition to its parent's."""
+    """Whether the last cause of a fit is accepted."""
     return moves_tip_enough(data, parent, fit, criteria) and is_evident(
         data, parent, fit, criteria
     )
 
 
 def is_evident(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
-    """Whether trials support the last cause of a fit, however little it does."""
+    """Whether trials support the last cause of a fit, however small its effect."""
     if not has_evidence(parent, fit, criteria) or fit.has_diverged:
         return False
     cause = fit.hypothesis.causes[-1]
@@ -246,33 +248,33 @@ def is_evident(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bo
 
 
 def is_needed(without: Fit, fit: Fit, criteria: Criteria) -> bool:
-    """Whether the evidence falls by the needed Bayes factor without a cause."""
+    """Whether the evidence falls by the required Bayes factor without a cause."""
     return has_evidence(without, fit, criteria)
 
 
 def predicts_heldout(gains: np.ndarray, explained_fraction: float) -> bool:
     """Whether a cause makes trials left out likelier, and their tips closer.
 
-    The likelihood alone may rise by a stand-in, which makes misfit smoother and not
-    smaller. The sum over trials would follow one that is predicted badly, such as a
+    A wrong cause may raise the likelihood alone by making misfit smoother but not
+    smaller. A sum over trials would be dominated by a badly predicted one, such as a
     chaotic one (cross-validation by trials: Vehtari, Gelman, Gabry, Stat. Comput. 27,
     1413, 2017).
 
     Parameters
     ----------
     gains : numpy.ndarray, shape (K,)
-        Of the log-likelihood of each trial.
+        Gain of each trial's log-likelihood.
     explained_fraction : float
-        Of the tips' mean square error, as of `mean_explained_fraction`.
+        Fraction of the tips' mean square error (`mean_explained_fraction`).
     """
     return bool(np.median(gains) > 0) and explained_fraction > 0
 
 
 def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
-    """Whether no amplitude of a cause is at an end of its range, or too small for it.
+    """Whether no amplitude of a cause is at an end of its range or too small.
 
-    One that would go on beyond its range most likely stands for another cause. An end
-    at which the cause is absent does not count, nor one that is only a lower bound.
+    A cause at the end of its range probably stands for another one. Exceptions are the
+    end at which it is absent, and amplitudes that are only lower bounds.
     """
     absent = fit.hypothesis.exponents_from({})
     amplitudes = amplitude_parameters(cause)
@@ -289,21 +291,21 @@ def is_inside_range(fit: Fit, cause: type[Effect]) -> bool:
 
 
 def trials_agree(probability: float) -> bool:
-    """Whether a cause is more likely there than not, by the scatter between trials.
+    """Whether a cause is probably present, by the scatter between trials.
 
-    See `agreement`. The evidence of a model that leaves misfit is too sure of itself;
-    how its estimates scatter between trials is not.
+    See `agreement`. The evidence of a model that leaves misfit is overconfident; the
+    scatter of its estimates is not.
     """
     return probability > 0.5
 
 
 def remainder_hides(difference_m: float, remainder_m: float) -> bool:
-    """Whether two rivals differ at the tip by no more than the best of them leaves."""
+    """Whether rivals differ at the tip by no more than the best leaves unexplained."""
     return difference_m <= remainder_m
 
 
 def misfit_remains(probability: float) -> bool:
-    """Whether the tip of some trial is more likely off by the tolerance than not."""
+    """Whether the misfit of some trial's tip probably exceeds the tolerance."""
     return probability > 0.5
 
 
@@ -313,14 +315,14 @@ def can_be_simulated(numbers: VerdictNumbers) -> bool:
 
 
 def can_be_confirmed(numbers: VerdictNumbers) -> bool:
-    """Whether there is a second trial to confirm what is found in the first."""
+    """Whether there is a second trial to confirm a cause."""
     return numbers.trials > 1
 
 
 def explains_enough(numbers: VerdictNumbers, criteria: Criteria) -> bool:
     """Whether the accepted causes remove enough of the base model's misfit.
 
-    If misfit remains, something outside the library may do more than the causes.
+    If misfit remains, something outside the library may have a larger effect than they.
     """
     if misfit_remains(numbers.misfit_probability):
         return numbers.explained_fraction > 0
@@ -328,7 +330,7 @@ def explains_enough(numbers: VerdictNumbers, criteria: Criteria) -> bool:
 
 
 def predicts_better(numbers: VerdictNumbers) -> bool:
-    """Whether the accepted causes help to predict trials that were not fitted."""
+    """Whether the accepted causes improve predictions of held-out trials."""
     if not numbers.heldout_is_closer:
         return False
     if not misfit_remains(numbers.misfit_probability):

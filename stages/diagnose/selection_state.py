@@ -1,4 +1,4 @@
-"""The state of a search for causes, and its changes by a cause or a trial."""
+"""The state of a search for causes, and changes of its causes or trials."""
 
 from __future__ import annotations
 
@@ -48,18 +48,18 @@ class SelectionState:
     Attributes
     ----------
     prepared : PreparedData
-        Corrected at the fit.
+        Trials corrected at the fit.
     fit : Fit
-        With all causes accepted so far.
+        The fit with all causes accepted so far.
     steps : sequence of SelectionStep
-        The choices on the way; the last one may have accepted nothing.
+        The steps of the selection; the last one may have accepted nothing.
     set_aside : dict
         Causes that were accepted and then dropped, with the reason.
     unnamed : tuple of type of Effect
         Causes in the fit that move the tip too little to be named, or that two trials
-        are too few to confirm. They stay, as the values of others depend on them.
+        are too few to confirm. They stay, because the values of others depend on them.
     replaced : tuple of type of Effect
-        Causes that trials do not confirm, and in whose place they confirm a rival.
+        Causes that were replaced by a rival because trials confirm only the rival.
     """
 
     prepared: PreparedData
@@ -71,24 +71,24 @@ class SelectionState:
 
     @property
     def nameable_causes(self) -> list[type[Effect]]:
-        """The causes of the fit that may be named."""
+        """The causes of the fit except those that are not named."""
         causes = self.fit.hypothesis.causes
         return [cause for cause in causes if cause not in self.unnamed]
 
     @cached_property
     def predictions(self) -> list[TrialPrediction]:
-        """Each trial as the fit to the others predicts it."""
+        """Predictions of each trial from the fit to the others."""
         return predict_left_out_trials(self.prepared.data, self.fit)
 
     @property
     def left_out_exponents(self) -> list[np.ndarray]:
-        """Exponents (P,) of the fit without each group of trials."""
+        """Exponents (P,) of the fits without each group of trials."""
         groups = groups_to_leave_out(len(self.prepared.data.trials))
         return [self.predictions[group[0]].chi for group in groups]
 
 
 def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
-    """Correct the data at a fit, and try other values of its causes' parameters."""
+    """Correct the data at a fit, and try other starts of its causes' parameters."""
     log.info("refining: %s", " + ".join(fit.hypothesis.cause_names))
     refined = correct_discretisation_once(prepared, fit)
     data = refined.prepared.data
@@ -99,15 +99,15 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
     other = fit_hypothesis(data, fit.hypothesis, starts, fit.grid_points)
     if other.log_evidence <= fit.log_evidence:
         return refined
-    # What it gained may be the numerical error of where it was
+    # The gain may be numerical error, which was subtracted at the old optimum
     elsewhere = correct_discretisation_once(refined.prepared, other)
-    return max(refined, elsewhere, key=lambda each: each.fit.log_evidence)
+    return max(refined, elsewhere, key=lambda option: option.fit.log_evidence)
 
 
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
-    """Replace the fit of a state by another one, refined.
+    """Refine another fit and put it into a state.
 
-    Causes that come in are no longer set aside.
+    Its causes are no longer set aside.
     """
     refined = refine_fit(state.prepared, fit)
     before = state.fit.hypothesis.cause_names
@@ -125,7 +125,7 @@ def add_cause(
     rng: np.random.Generator,
     starts: int,
 ) -> SelectionState:
-    """Take a fit with more causes, with noise and numerical error as they are there."""
+    """Put a fit with a further cause into a state; re-estimate noise and errors."""
     with_noise = reestimate_noise(state.prepared, best)
     joined = correct_discretisation_once(with_noise, best)
     prepared = joined.prepared
@@ -136,8 +136,8 @@ def add_cause(
         log.info("%d outliers instead of %d", *counts)
         steps = [_refit_step(prepared.data, step, criteria) for step in steps]
 
-    # Search more widely if much is left. Other strings are no better if their trials
-    # are resolved worse: what is uncertain in these may explain anything.
+    # Search other strings if much misfit is left. They must not be resolved worse,
+    # because their numerical uncertainty may explain the gain.
     if unexplained_tip_rms(prepared.data, fit).max() > criteria.tip_tolerance_m:
         refined = _refine_from_other_strings(prepared, fit, rng, starts)
         uncertainty_m = refined.prepared.discretisation_uncertainty_m
@@ -155,10 +155,10 @@ def add_cause(
 def _refine_from_other_strings(
     prepared: PreparedData, fit: Fit, rng: np.random.Generator, starts: int
 ) -> RefinedFit:
-    """Refine a fit, and what a search from other strings finds; return the better one.
+    """Refine a fit and the result of a search from other strings; return the better.
 
-    They are compared with the numerical error that each has itself: data without that
-    of the fit are near to the fit, however wrong it is.
+    Each is compared with its own numerical error: data corrected at a fit favour it,
+    however wrong it is.
     """
     chi = search_other_strings(prepared.data, fit, rng, starts)
     found = evaluate_fit(prepared.data, fit.hypothesis, chi)
@@ -170,7 +170,7 @@ def _refine_from_other_strings(
 def _refit_step(
     data: TrialData, step: SelectionStep, criteria: Criteria
 ) -> SelectionStep:
-    """Move a step to data with other points: compared fits are refitted."""
+    """Move a step to data with other points, refitting the compared fits."""
     parent = refit(data, step.parent, step.parent.hypothesis)
     compared = [refit(data, fit, fit.hypothesis) for fit in step.compared]
     was_compared = {id(fit) for fit in step.compared}  # fits hold arrays: no equality
@@ -180,7 +180,7 @@ def _refit_step(
             others.append(evaluate_fit(data, fit.hypothesis, fit.chi))
     fits = rank_rivals(parent, [*compared, *others], criteria)
     unresolved = [refit(data, fit, fit.hypothesis) for fit in step.unresolved]
-    # All are now on the same data
+    # All fits now use the same data
     return replace(
         step,
         data=data,
@@ -198,10 +198,10 @@ def with_causes_found_before(
     seed: int,
     starts: int,
 ) -> SelectionState:
-    """Fit the causes that were found in fewer trials to the prepared ones."""
+    """Fit the causes of an earlier search to the prepared trials."""
     base = prepared.base_fit
     hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
-    # The ranges may be others with more trials
+    # By values, because ranges may differ with other trials
     start = hypothesis.model.exponents_of_values(found.fit.values)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.grid_points)
     rng = np.random.default_rng(seed)
@@ -213,7 +213,7 @@ def with_causes_found_before(
 def without_chaotic_trials(
     state: SelectionState, names: Sequence[str], criteria: Criteria
 ) -> SelectionState:
-    """Leave out trials that are chaotic, and causes that only these need."""
+    """Leave out chaotic trials, and drop causes that are then redundant."""
     is_kept = [trial.name not in names for trial in state.prepared.data.trials]
     prepared = without_trials(state.prepared, names)
     before = state.fit
@@ -232,7 +232,7 @@ def without_chaotic_trials(
 def _without_fits(
     steps: Sequence[SelectionStep], prepared: PreparedData
 ) -> list[SelectionStep]:
-    """Keep what was proposed in steps; their fits were to other data than these."""
+    """Keep the proposals of steps, without their fits, which belong to other data."""
     data = prepared.data
     base = prepared.base_fit.hypothesis.base
     kept = []
@@ -246,7 +246,7 @@ def _without_fits(
 
 
 def drop_redundant_causes(state: SelectionState, criteria: Criteria) -> SelectionState:
-    """Drop causes that the evidence does not need any more, the new one included."""
+    """Drop causes, also the new one, that the evidence does not need any more."""
     for cause in state.fit.hypothesis.causes:
         data = state.prepared.data
         hypothesis = state.fit.hypothesis.without_cause(cause)

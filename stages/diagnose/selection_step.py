@@ -1,4 +1,4 @@
-"""A comparison of candidates for one more cause, and how they are ranked."""
+"""A comparison of candidates for one more cause, and their ranking."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stringcast.stages.diagnose.rules import (
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.trial_data import TrialData
 
-RANKING_PRECISION = 0.01  # of what the best candidate gains, to which others are fitted
+RANKING_PRECISION = 0.01  # of the best candidate's gain: precision of fits
 
 
 @dataclass(frozen=True)
@@ -25,22 +25,22 @@ class SelectionStep:
     Attributes
     ----------
     data : TrialData
-        That the parent and the leading fits are fitted to, but for numerical error.
+        Data of the parent and the leading fits, before their own numerical errors.
     parent : Fit
-        Without the cause to be chosen.
+        The fit without the cause to be chosen.
     proposals : sequence of Proposal
-        Of all candidates, the most promising first.
+        Proposals of all candidates, the most promising first.
     fits : sequence of Fit
-        Of those fitted, as of `rank_rivals`.
+        All fits, ranked by `rank_rivals`.
     compared : sequence of Fit
-        Those of them near the leading one; they and the parent are on common data.
+        The leading ones; they and the parent are fitted to common data.
     accepted : bool
         Whether the best is accepted.
     unresolved : sequence of Fit
-        Those that have as much evidence as the best on common data, but by which too
-        few trials can be simulated. They cannot be distinguished from it.
+        Fits with as much evidence as the best on common data, with which too few
+        trials can be simulated. They cannot be distinguished from it.
     contested : Fit, optional
-        The fit with a cause that was accepted, whose place is contested.
+        The fit with an accepted cause, with which the candidates compete.
     """
 
     data: TrialData
@@ -54,7 +54,7 @@ class SelectionStep:
 
     @property
     def best(self) -> Fit | None:
-        """The fit that leads."""
+        """The leading fit."""
         return self.fits[0] if self.fits else None
 
     @property
@@ -66,11 +66,11 @@ class SelectionStep:
 
 
 def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fit]:
-    """Sort fits by evidence, those after that are only ahead at the end of a range.
+    """Sort fits by evidence, but rank rivals inside their ranges first.
 
-    A cause at the end of its range most likely stands for another one. Rivals that are
-    inside theirs go before it if they explain at least `min_explained_fraction` of what
-    the most evident fit does.
+    A cause at the end of its range probably stands for another one. Rivals inside
+    their ranges rank above it if they gain at least `min_explained_fraction` of what
+    the most evident fit gains.
     """
     ranked = by_evidence(fits)
     if not ranked:
@@ -95,7 +95,7 @@ def rank_rivals(parent: Fit, fits: Sequence[Fit], criteria: Criteria) -> list[Fi
 def least_evidence_of_rivals(
     fits: Sequence[Fit], parent: Fit, criteria: Criteria
 ) -> float:
-    """Compute the evidence of what explains enough to be a rival of the best fit."""
+    """Compute the least log evidence of a rival of the best fit."""
     best = max((fit.log_evidence for fit in fits), default=parent.log_evidence)
     gain = max(best - parent.log_evidence, 0.0)
     return parent.log_evidence + criteria.min_explained_fraction * gain
@@ -107,8 +107,8 @@ def by_evidence(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def precision_to_rank(best_gain: float) -> float:
-    """Compute the log evidence to which candidates are fitted, to be ranked.
+    """Compute the precision in log evidence to which candidates are fitted.
 
-    best_gain: of the log evidence, by the best of them.
+    best_gain: gain in log evidence of the best candidate.
     """
     return max(RANKING_PRECISION * best_gain, NEGLIGIBLE_LOG_EVIDENCE)

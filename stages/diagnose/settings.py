@@ -15,16 +15,16 @@ from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 
-# Intervals are so much wider than the likelihood's: 95 % of 165 values of earlier
-# synthetic datasets then lie inside, 87 % without
+# Factor on the intervals of the likelihood. With it they contain 95 % of 165 true
+# values of earlier synthetic datasets, without it 87 %
 INTERVAL_WIDENING = 1.4
 
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """The model and the settings of a diagnosis, as of `diagnose`.
+    """The model and the settings of a diagnosis (see `diagnose`).
 
-    longest_step_s: of the simulation, where longer steps cost no accuracy [s].
+    longest_step_s: limit of the time step where long steps are accurate [s].
     """
 
     model: Model

@@ -1,9 +1,9 @@
-"""The time step of simulations: as long as accuracy allows.
+"""The choice of the time step: as long as accuracy allows.
 
-The error of steps is extrapolated and corrected together with that of segments
-(`discretisation`). In gentle motion, segments decide how uncertain this correction is:
-longer steps save time and cost nothing. In a whip they do, and where a string is damped
-so strongly that long steps ring.
+The error of time steps is extrapolated and corrected together with that of segments
+(`discretisation`). In gentle motion, the uncertainty of this correction comes from the
+segments, and longer steps save time. They cost accuracy if the string whips, or if
+damping is so strong that long steps ring.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 
 log = logging.getLogger(__name__)
 
-# Of the tolerance: what longer steps may add to the uncertainty of a trial's correction
+# Of the tolerance: uncertainty of a trial's correction that longer steps may add
 MAX_ADDED_UNCERTAINTY = 0.1
 
 
@@ -30,10 +30,10 @@ def lengthen_steps_while_accurate(
     tolerance_m: float,
     longest_step_s: float,
 ) -> Likelihood:
-    """Double the steps while that adds little to the uncertainty at the tips.
+    """Double the time step while that adds little to the uncertainty at the tips.
 
-    Trials that the steps as they are do not resolve do not count. If there are no
-    others, the steps stay.
+    Only trials that the given step resolves are considered. If there are none, the
+    step stays.
 
     Parameters
     ----------
@@ -41,9 +41,9 @@ def lengthen_steps_while_accurate(
     chi : numpy.ndarray, shape (P,)
         Exponents of the fit.
     tolerance_m : float
-        To which the tip of a trial must be resolved [m].
+        Tolerance to which simulation must resolve the tip of a trial [m].
     longest_step_s : float
-        To which steps are doubled at most [s].
+        Upper limit of the step [s].
     """
     uncertainty_m = _tip_uncertainty(likelihood, chi)
     is_resolved = uncertainty_m < tolerance_m
@@ -70,6 +70,6 @@ def _with_doubled_step(likelihood: Likelihood) -> Likelihood:
 
 
 def _tip_uncertainty(likelihood: Likelihood, chi: np.ndarray) -> np.ndarray:
-    """Compute how uncertain the discretisation error of each tip is [m], (K,)."""
+    """Compute the uncertainty of the discretisation error at each tip [m], (K,)."""
     hypothesis = Hypothesis(likelihood.model)
     return discretisation_uncertainty(likelihood.data.trials, hypothesis, chi)

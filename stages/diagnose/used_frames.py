@@ -1,4 +1,4 @@
-"""Which frames of a trial are used."""
+"""The choice of the frames of a trial that are used."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.string_places import track_places
 
 KEPT_REST_S = 0.2  # of a string at rest
-# From spline to spline of the discrepancy, as a second at 240 Hz has: what moves faster
-# counts as noise
+# Per spline of the discrepancy, as in a second at 240 Hz
 FRAMES_PER_SPLINE = 4
 
 log = logging.getLogger(__name__)
@@ -30,7 +29,7 @@ log = logging.getLogger(__name__)
 def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
     """Cut the end of a trial in which the string hangs still.
 
-    A thousand frames of rest say no more than a few, but would weigh more.
+    Many frames of rest have no more information than a few, but would have more weight.
     """
     times = trial.times
     distance = np.zeros(len(times))  # of each frame from the final rest [m]
@@ -47,10 +46,10 @@ def trim_trailing_rest(trial: PreparedTrial) -> PreparedTrial:
 
 
 def thin_frames(trial: PreparedTrial) -> PreparedTrial:
-    """Use one frame of several in a trial whose discrepancy follows no fast motion.
+    """Keep every m-th frame of a long trial.
 
-    Splines of the discrepancy are farther apart in a longer trial. More frames between
-    them determine little more, and cost time and memory.
+    A longer trial has a wider knot spacing of the discrepancy. More frames per knot
+    determine little more, and cost time and memory.
     """
     splines = len(time_nodes(trial.times, KNOT_SPACING_S))
     step = len(trial.times) // (FRAMES_PER_SPLINE * splines)
@@ -66,7 +65,7 @@ def thin_frames(trial: PreparedTrial) -> PreparedTrial:
 
 
 def warn_of_long_trials(trials: Sequence[PreparedTrial]) -> None:
-    """Say up to which frequency misfit is followed in trials that are long."""
+    """Log the frequency up to which misfit is resolved in long trials."""
     for trial in trials:
         if len(trial.times) < 2:
             continue
