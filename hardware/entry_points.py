@@ -1,4 +1,4 @@
-"""What the settings of arms and cameras may name; nothing is imported."""
+"""Callables that settings of arms and cameras may name; nothing is imported."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ PICTURE_SOURCES = (
     "hardware.camera.ImageFolder",
     "hardware.camera.VideoFile",
 )
-# These move nothing real.
+# These move no real arm.
 VIRTUAL_HARDWARE = ("hardware.virtual.open_lab", "hardware.serial.rehearsal.open_lab")
 ROLES = {
     "hardware": (

@@ -8,14 +8,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-SPIN_S = 0.001  # [s] before a moment from which the clock is watched closely
+SPIN_S = 0.001  # [s] of busy waiting before a deadline
 
 
 def wait_until(moment: float) -> None:
-    """Sleep until a moment of time.monotonic [s].
-
-    A sleep alone wakes up late, so that the end of it is a busy loop.
-    """
+    """Sleep until a moment of time.monotonic [s], with a busy loop at the end."""
     remaining = moment - time.monotonic() - SPIN_S
     if remaining > 0:
         time.sleep(remaining)
@@ -27,7 +24,7 @@ def wait_until(moment: float) -> None:
 def real_time_priority(priority: int) -> Iterator[None]:
     """Run the block without garbage collection and at real-time priority.
 
-    The priority is SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual.
+    The priority is SCHED_FIFO, 1 to 99, if the system allows it; 0: normal.
     """
     was_collecting = gc.isenabled()
     former = None
@@ -36,7 +33,8 @@ def real_time_priority(priority: int) -> Iterator[None]:
     gc.disable()
     try:
         if former:
-            # needs CAP_SYS_NICE or an rtprio limit; the record shows the jitter anyway
+            # needs CAP_SYS_NICE or an rtprio limit; without it, the record shows the
+            # jitter
             with suppress(PermissionError):
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         yield

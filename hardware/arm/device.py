@@ -1,4 +1,4 @@
-"""The real arm, which takes velocity commands every tick and is always stopped."""
+"""The real arm: velocity commands every tick, and a stop on every exit."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from stringcast.stages.model.arm import Arm
 
 LINK_TEST_TRIPS = 50  # round trips of the link test
 START_TOLERANCE_RAD = 0.02  # [rad] between reported and commanded start
-MAX_APPROACHES = 3  # movements to the start, each nearer than the last
-MIN_APPROACH_TICKS = 20  # of the arm, for the shortest of them
+MAX_APPROACHES = 3  # movements to the start, each starting nearer
+MIN_APPROACH_TICKS = 20  # of the shortest movement to the start
 
 
 @dataclass(frozen=True)
 class Driving:
-    """Settings by which an arm is driven.
+    """Settings of the arm driver.
 
     Attributes
     ----------
     round_trip
-        Median of the link test above which nothing moves [s].
+        Median round trip above which the arm is not moved [s].
     misses
         Unanswered ticks in a row after which the arm is brought to rest.
     late
@@ -48,7 +48,7 @@ class Driving:
     settle
         Time for the string to come to rest [s].
     priority
-        SCHED_FIFO, 1 to 99, where the system allows it; 0: as usual.
+        SCHED_FIFO, 1 to 99, if the system allows it; 0: normal.
     workspace
         The region for joints and hand.
     """
@@ -66,7 +66,7 @@ class Driving:
 
 @dataclass
 class VelocityArm:
-    """An arm on any wire, which fills the role `ArmDevice` of `stages.execute`.
+    """An arm on any wire; implements `ArmDevice` of `stages.execute`.
 
     Attributes
     ----------
@@ -77,10 +77,9 @@ class VelocityArm:
     driving
         Settings of the driver.
     latch_reason
-        Why the emergency stop was pressed; empty if it was not. Nothing moves until
-        `clear`.
+        Reason of the emergency stop; empty if not pressed. Nothing moves until `clear`.
     is_moving
-        Whether a movement has not come to its end.
+        Whether a movement is in progress or was ended early.
     round_trips_s : (N,)
         Round trips of the link test [s].
     signals
@@ -108,11 +107,11 @@ class VelocityArm:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop whatever happened, and close the link.
+        """Stop the arm in any case, and close the link.
 
-        A movement that did not come to its end is an emergency.
+        An incomplete movement is an emergency.
         """
-        # called from the last to the first, each even if one before it fails
+        # run in reverse order, each even if another fails
         with ExitStack() as stack:
             stack.callback(self.signals.restore)
             stack.enter_context(self.signals.ignore())
@@ -124,12 +123,12 @@ class VelocityArm:
     def press_emergency_stop(self, reason: str) -> None:
         """Press the emergency stop, from any thread.
 
-        It is obeyed within a tick, and latched here and in the device.
+        It takes effect within a tick, and is latched here and in the device.
         """
         self.latch_reason = reason
 
     def clear(self) -> None:
-        """Undo the emergency stop on purpose, after a person has looked at the arm."""
+        """Clear the emergency stop after a person has checked the arm."""
         self.wire.clear()
         self.wire.set_limits(self.arm)
         self.latch_reason = ""
@@ -168,14 +167,14 @@ class VelocityArm:
         HardwareError
             If a limit would be left or the arm does not follow.
         """
-        # a velocity-driven joint ends a little off: go again from where it is
+        # a velocity-driven joint ends slightly off: repeat from there
         for _ in range(MAX_APPROACHES):
             start = self.angles()
             distance = np.asarray(angles) - start
             farthest = np.abs(distance).max()
             if farthest < START_TOLERANCE_RAD / 4:
                 break
-            # half a cosine is pi / 2 times as fast in its middle as on average
+            # the peak speed of half a cosine is pi / 2 times its mean
             duration = farthest * np.pi / 2 / self.driving.approach
             duration = max(duration, MIN_APPROACH_TICKS * self.arm.tick)
             ticks = int(np.ceil(duration / self.arm.tick))
@@ -249,8 +248,8 @@ class VelocityArm:
         try:
             play(self.wire, log, guard, driving.priority)
         except HardwareError:
-            # Ramped to rest. On a dead link the watchdog does that, and leaving sends a
-            # stop.
+            # The arm was ramped to rest, on a dead link by the watchdog. `__exit__`
+            # sends a stop.
             self.is_moving = False
             raise
         self.wire.stop()
@@ -267,7 +266,7 @@ class VelocityArm:
     def _test_link(self) -> None:
         """Measure round trips before anything moves, and check the watchdog.
 
-        A slow link cannot carry a tick, and a short watchdog no late one.
+        A slow link misses ticks, and a short watchdog trips at a late one.
         """
         trips = []
         for _ in range(LINK_TEST_TRIPS):

@@ -9,18 +9,18 @@ import numpy as np
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
-ROUNDING_FACTOR = 1.001  # limits may be touched to rounding
+ROUNDING_FACTOR = 1.001  # tolerance for rounding at a limit
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """The rectangle in which joints and hand may be, by two corners (x, y) [m]."""
+    """The rectangle allowed for joints and hand, by two corners (x, y) [m]."""
 
     low: tuple[float, float]
     high: tuple[float, float]
 
     def __post_init__(self) -> None:
-        """Refuse a rectangle inside out."""
+        """Refuse a rectangle with exchanged corners."""
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
             raise ValueError("each of workspace.low must be below its workspace.high")
 
@@ -58,7 +58,7 @@ def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
     most_speed = ROUNDING_FACTOR * np.asarray(arm.speed)
     most_acceleration = ROUNDING_FACTOR * np.asarray(arm.acceleration)
     in_range = (angles >= arm.lowest) & (angles <= arm.highest)
-    # True where the limit is not known to hold: no comparison with NaN does
+    # negated comparisons, so that NaN violates the limit
     violations = {
         "arm.lowest or arm.highest (range)": ~in_range.all(axis=1),
         "arm.speed": ~(np.abs(speeds) <= most_speed).all(axis=1),

@@ -16,40 +16,40 @@ from stringcast.hardware.arm.wire import ArmAnswer, Wire
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
-POLL_S = 0.0003  # [s] between looks for an answer
-DRAIN_S = 0.05  # [s] that the last answers may take
-# [rad] of error that an encoder may have between two answers
+POLL_S = 0.0003  # [s] between polls for an answer
+DRAIN_S = 0.05  # [s] to wait for the last answers
+# [rad] of encoder error between two answers
 ENCODER_NOISE_RAD = 0.02
 
 
 @dataclass
 class MovementLog:
-    """The record of every tick, reserved before the loop starts.
+    """The record of every tick, allocated before the loop starts.
 
     Attributes
     ----------
     due : (K,)
-        When each command is due, from the start [s].
+        Due time of each command from the start [s].
     commanded : (K, J)
         Velocities [rad/s].
     expected : (K, J)
-        Angles that the velocities lead to [rad].
+        Integrated velocities [rad].
     sent, acknowledged : (K,)
-        When each command was sent and acknowledged [s]; NaN if it was not.
+        Times of sending and of acknowledgement [s]; NaN without.
     device_time : (K,)
         The device's clock in each answer [s].
     speeds_sent : (K, J)
-        Velocities as the link carried them [rad/s].
+        Velocities as encoded for the link [rad/s].
     angles : (K, J)
         Measured angles in each answer [rad].
     start
         Host time of the first tick (time.monotonic) [s].
     last_answered
-        The latest tick that was answered; -1 for none.
+        The latest answered tick; -1 for none.
     last_checked
         `last_answered` when the guard last found no fault.
     hold_reason
-        Why the device follows no commands; empty if it does.
+        Why the device ignores commands; empty if it does not.
     pending_ticks
         Unanswered ticks by the number of their command.
     """
@@ -70,7 +70,7 @@ class MovementLog:
 
 
 def reserve_log(start: np.ndarray, speeds: np.ndarray, tick: float) -> MovementLog:
-    """Reserve a log for velocities (K, J) [rad/s] from the pose `start` (J,) [rad]."""
+    """Allocate a log for velocities (K, J) [rad/s] from the pose `start` (J,) [rad]."""
     count = len(speeds)
     turned = np.zeros(speeds.shape)
     turned[1:] = np.cumsum(speeds[:-1], axis=0) * tick
@@ -88,13 +88,13 @@ class Guard:
     Attributes
     ----------
     arm
-        The arm; its speed limits bound what an encoder can truly report.
+        The arm; its speed limits bound plausible encoder readings.
     misses
         Unanswered ticks in a row that are tolerated.
     astray
         Largest distance from the commanded angles [rad].
     emergency_stop
-        Returns why the emergency stop was pressed; empty if it was not.
+        Returns the reason of the emergency stop; empty if not pressed.
     """
 
     arm: Arm
@@ -103,7 +103,7 @@ class Guard:
     emergency_stop: Callable[[], str]
 
     def stop_reason(self, log: MovementLog, tick: int) -> str:
-        """State why the movement must end at `tick`; empty if it need not."""
+        """Return the reason to end the movement at `tick`; empty for none."""
         silent = tick - 1 - log.last_answered
         if silent > self.misses:
             return f"no answer for {silent} ticks"
@@ -112,10 +112,10 @@ class Guard:
     def _angle_fault(self, log: MovementLog) -> str:
         """Describe a fault in the angles measured since the last check.
 
-        Comparisons are written so that NaN is a fault, too.
+        NaN is a fault, too.
         """
         ticks = np.arange(max(log.last_checked, 0), log.last_answered + 1)
-        # several where this computer was late: each may show a jump
+        # several if this computer was late; each may show a jump
         ticks = ticks[np.isfinite(log.device_time[ticks])]
         if not np.isfinite(log.angles[ticks[ticks > log.last_checked]]).all():
             return "an encoder reports no number"
@@ -136,7 +136,7 @@ class Guard:
 
 
 def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
-    """Send the log's velocities, each when it is due, and record the answers.
+    """Send each velocity of the log when it is due, and record the answers.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
     guard
         The limits that end the movement early.
     priority
-        Real-time priority, 1 to 99; 0: as usual.
+        Real-time priority, 1 to 99; 0: normal.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
             due = log.start + k * tick
             _collect_answers(wire, log, due - SPIN_S)
             wait_until(due)
-            # the emergency stop comes before anything else that is sent
+            # check the emergency stop before sending
             pressed = guard.emergency_stop()
             if pressed:
                 wire.latch()
@@ -179,9 +179,9 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
 
 
 def _collect_answers(wire: Wire, log: MovementLog, deadline: float) -> None:
-    """Record answers until all have come or the moment is over.
+    """Record answers until all have arrived or the deadline has passed.
 
-    It looks once even if it is late.
+    It polls at least once.
     """
     while log.pending_ticks:
         for answer in wire.answers():
@@ -194,7 +194,7 @@ def _collect_answers(wire: Wire, log: MovementLog, deadline: float) -> None:
 
 def _record_answer(log: MovementLog, answer: ArmAnswer) -> None:
     tick = log.pending_ticks.pop(answer.number, -1)
-    if tick < 0:  # a duplicate, or the answer to something else
+    if tick < 0:  # a duplicate, or an answer to another command
         return
     log.acknowledged[tick] = time.monotonic() - log.start
     log.device_time[tick], log.angles[tick] = answer.clock, answer.angles
@@ -205,7 +205,7 @@ def _record_answer(log: MovementLog, answer: ArmAnswer) -> None:
 def _ramp_to_rest(
     wire: Wire, log: MovementLog, tick: int, arm: Arm, reason: str
 ) -> None:
-    """Slow to rest within the arm's acceleration, answered or not, and raise why."""
+    """Ramp to rest within the arm's acceleration, then raise the reason."""
     speed = log.speeds_sent[tick]
     duration = np.abs(speed / arm.acceleration).max()
     count = max(int(np.ceil(duration / arm.tick)), 1)

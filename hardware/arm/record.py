@@ -9,7 +9,7 @@ from stringcast.data.artifacts import JOINTS, SENT_SPEEDS, SPEEDS, lateness_colu
 from stringcast.hardware.arm.loop import MovementLog
 from stringcast.stages.execute.interfaces import Performance
 
-# fraction of the exchanges, the quickest ones, that fix the device's clock
+# fraction of the exchanges, the quickest ones, used to align the device's clock
 QUICK_FRACTION = 0.25
 
 
@@ -74,10 +74,9 @@ def build_performance(
 
 
 def _measured_angles(log: MovementLog, start: float) -> pd.DataFrame:
-    """Bring joint angles at the device's own times to the host's clock.
+    """Convert joint angles at device times to the host's clock.
 
-    A message may take long, but not less than no time, so the quickest exchanges
-    compare the two clocks best.
+    The quickest exchanges align the clocks best, as their delays are smallest.
     """
     answered = np.flatnonzero(~np.isnan(log.sent + log.acknowledged))
     sent, acknowledged = log.sent[answered], log.acknowledged[answered]

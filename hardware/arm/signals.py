@@ -14,17 +14,17 @@ if hasattr(signal, "SIGHUP"):
 
 
 class TerminationSignals:
-    """Handlers by which SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt.
+    """Handlers that raise KeyboardInterrupt for SIGINT, SIGTERM and SIGHUP.
 
-    The exception holds the signal's number. Only the main thread receives signals; in
-    another one this does nothing.
+    The exception holds the signal's number. In threads other than the main thread they
+    do nothing.
     """
 
     def __init__(self) -> None:
         self.former_handlers: dict[signal.Signals, Handler] = {}
 
     def install(self) -> None:
-        """Handle termination signals from now on."""
+        """Install the handlers."""
         with suppress(ValueError):
             self.former_handlers = {
                 number: signal.signal(number, _raise_interrupt)
@@ -41,7 +41,7 @@ class TerminationSignals:
     def ignore(self) -> Iterator[None]:
         """Ignore the signals inside the block.
 
-        An impatient second Ctrl-C must not prevent the stop.
+        A second Ctrl-C must not prevent the stop.
         """
         for number in self.former_handlers:
             signal.signal(number, signal.SIG_IGN)

@@ -24,7 +24,7 @@ class ArmAnswer:
     clock
         Device time, unwrapped [s].
     hold_reason
-        Why the device follows no commands; empty if it does.
+        Why the device ignores commands; empty if it does not.
     angles : (J,)
         Joint angles measured when the command arrived [rad].
     """
@@ -38,7 +38,7 @@ class ArmAnswer:
 class Wire(Protocol):
     """A link to an arm, over a serial device or a bus of servos.
 
-    Each method raises `HardwareError` if it cannot do its work.
+    Each method raises `HardwareError` on failure.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Wire(Protocol):
 
     @property
     def watchdog(self) -> float:
-        """The time without a command after which the device stops by itself [s]."""
+        """Time without commands after which the device stops by itself [s]."""
 
     def open(self) -> None:
         """Connect and agree on the protocol; nothing moves.
@@ -62,12 +62,12 @@ class Wire(Protocol):
         """
 
     def set_limits(self, arm: Arm) -> None:
-        """Make the device keep the arm's limits of speed and acceleration by itself.
+        """Make the device enforce the arm's limits of speed and acceleration.
 
         Raises
         ------
         HardwareError
-            If the device does not keep them.
+            If the device does not accept them.
         """
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ class Wire(Protocol):
         number : int
             The command's number.
         speeds : (J,)
-            What was sent after rounding [rad/s].
+            Sent velocities after rounding [rad/s].
         """
 
     def answers(self) -> Sequence[ArmAnswer]:
@@ -108,19 +108,19 @@ class Wire(Protocol):
         """Stop the arm and latch the device until `clear`; never raise."""
 
     def clear(self) -> None:
-        """Undo `latch` on purpose, after a person has looked at the arm."""
+        """Undo `latch` after a person has checked the arm."""
 
 
 def confirm_and_clear(wire: Wire) -> None:
-    """Ask a person to look at the arm, then undo its emergency stop.
+    """Ask a person to check the arm, then clear its emergency stop.
 
-    It exits with the reason if that fails.
+    Exits with the reason on failure.
     """
     try:
         answer = input(
             "Is the arm safe to move, and nobody within its reach? Type yes: "
         )
-    except EOFError:  # there is nobody to look
+    except EOFError:  # no person at the terminal
         answer = ""
     if answer.strip() != "yes":
         sys.exit("It stays latched.")

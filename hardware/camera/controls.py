@@ -1,4 +1,4 @@
-"""Camera controls (exposure, gain, white balance, focus): set, read back, and kept."""
+"""Setting and verification of camera controls (exposure, gain, focus, ...)."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from stringcast.stages.execute.interfaces import HardwareError
 
 cv2 = LazyModule("cv2")
 
-RELATIVE_TOLERANCE = 0.01  # between a value that was set and the one read back
-# what OpenCV gives for a property that a backend cannot report
+RELATIVE_TOLERANCE = 0.01  # of a value read back
+# OpenCV's value of a property that a backend cannot report
 UNREPORTED_VALUES = (0.0, -1.0)
 
 
@@ -38,7 +38,7 @@ def apply_controls(
 ) -> tuple[str, ...]:
     """Set size, rate and controls, and read the controls back once all are set.
 
-    Size and rate are measured later instead: drivers report what they were asked.
+    Size and rate are measured later, as drivers only repeat the request.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def apply_controls(
     Raises
     ------
     HardwareError
-        If a control is reported with another value.
+        If a control has another value.
     """
     accepted = {
         key: capture.set(_property_number(key), value)

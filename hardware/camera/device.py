@@ -1,4 +1,4 @@
-"""A camera that OpenCV can open, which is set and checked before it is used."""
+"""A camera opened by OpenCV, configured and checked before use."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from stringcast.stages.model.camera import Camera
 
 cv2 = LazyModule("cv2")
 
-MAX_BUFFERED_FRAMES = 8  # frames that a driver may hold from before; V4L2 has 4
+MAX_BUFFERED_FRAMES = 8  # old frames in a driver's buffer; V4L2 has 4
 
 
 @dataclass(frozen=True)
 class Device(Source):
     """The settings of a camera that OpenCV can open.
 
-    No driver reports the delay. V4L2 stamps a frame when its first or last byte arrives
-    (on this host's clock; uvcvideo: the first); other backends give a time from the
-    start of the stream, or none. Stamps therefore give the distances between frames,
-    not their absolute times.
+    No driver reports the delay. V4L2 stamps a frame when its first or last byte
+    arrives, on the host's clock (uvcvideo: the first). Other backends give times from
+    the start of the stream, or none. Stamps therefore give intervals between frames,
+    not absolute times.
 
     Attributes
     ----------
     number
-        Number of the camera, as OpenCV counts.
+        Number of the camera in OpenCV.
     backend
         OpenCV's name of the driver's interface, such as V4L2, DSHOW, AVFOUNDATION; or
         ANY.
     delay
-        From the middle of the exposure to the arrival of the quickest frame [s]: about
-        half the exposure, the readout and the transfer. Measure it once, by a
-        calibration motion or a flashing lamp.
+        Time from mid-exposure to the arrival of the quickest frame [s]: about half the
+        exposure, the readout and the transfer. Measure it once, with a calibration
+        motion or a flashing lamp.
     controls
         Properties by OpenCV's name without CAP_PROP_, in the driver's units, set in
         this order and read back.
     seconds
-        How long stills are taken [s].
+        Duration of taking stills [s].
     interval
         Time from one still to the next [s].
     """
@@ -69,7 +69,7 @@ class Device(Source):
         Parameters
         ----------
         camera
-            The camera as it should be: size and rate.
+            The required size and rate.
 
         Returns
         -------
@@ -79,7 +79,7 @@ class Device(Source):
         Raises
         ------
         HardwareError
-            If it cannot be opened, or has another setting, size or rate.
+            If the camera cannot be opened, or has another setting, size or rate.
         """
         interface = getattr(cv2, f"CAP_{self.backend}", None)
         if interface is None:
@@ -133,18 +133,18 @@ class DeviceStream(Stream):
     capture: Any
 
     def begin(self) -> None:
-        """Drop as many frames as the driver may hold from before."""
+        """Drop old frames from the driver's buffer."""
         for _ in range(MAX_BUFFERED_FRAMES):
             if not self.capture.grab():
                 return
 
     def read(self) -> Frame | None:
-        """Read the next frame, each in memory of its own.
+        """Read the next frame into new memory.
 
-        One that cannot be decoded counts as dropped.
+        Undecodable frames count as dropped.
         """
         while self.capture.grab():
-            # before decoding, which takes a varying time
+            # before decoding, whose duration varies
             arrival = time.monotonic()
             good, image = self.capture.retrieve()
             if good:

@@ -1,6 +1,6 @@
 """Filming in the background.
 
-One thread only takes frames from the driver, another makes them grey.
+One thread only reads frames from the driver; another converts them to grey.
 """
 
 from __future__ import annotations
@@ -21,25 +21,24 @@ from stringcast.stages.model.camera import Camera
 
 cv2 = LazyModule("cv2")
 
-# frames that wait to be made grey; a further one is dropped and counted, so that the
-# memory does not fill
+# queue of frames to convert; further ones are dropped and counted to limit memory
 QUEUE_FRAMES = 64
-FIRST_FRAME_TIMEOUT_S = 5.0  # [s] in which the first frame must come
-# [s] beyond the delay that the last frames may take
+FIRST_FRAME_TIMEOUT_S = 5.0  # [s] for the first frame
+# [s] beyond the delay to wait for the last frames
 LAST_FRAME_MARGIN_S = 0.5
-READ_TIMEOUT_S = 2.0  # [s] that a read in progress may take to end
+READ_TIMEOUT_S = 2.0  # [s] to wait for a read in progress
 
 
 @dataclass
 class FilmingCamera:
-    """A camera that films any source, which fills the role `CameraDevice`.
+    """A camera that films any source; implements `CameraDevice`.
 
     Attributes
     ----------
     camera
-        The camera as it should be.
+        The required camera.
     source
-        Where frames come from.
+        Source of frames.
     most_lost
         Fraction of dropped or repeated frames above which a trial is invalid.
     """
@@ -51,7 +50,7 @@ class FilmingCamera:
     film: BackgroundFilm | None = None
 
     def __enter__(self) -> Self:
-        """Open the source and check that it gives what the settings promise."""
+        """Open the source and check it against the settings."""
         self.stream = self.source.open(self.camera)
         return self
 
@@ -64,7 +63,7 @@ class FilmingCamera:
         self.film = self.stream = None
 
     def start(self) -> None:
-        """Film until `stop`, and return once the first frame is there.
+        """Film until `stop`; return after the first frame.
 
         Raises
         ------
@@ -81,7 +80,7 @@ class FilmingCamera:
             )
 
     def stop(self, moved_at: float) -> Recording:
-        """End filming once all frames exposed until now have come.
+        """End filming when all frames exposed so far have arrived.
 
         Parameters
         ----------
@@ -115,18 +114,18 @@ class BackgroundFilm:
     Attributes
     ----------
     failure
-        Why no more frames come; empty if they do.
+        Why no more frames arrive; empty if they do.
     overrun
-        Number of frames for which the queue had no room.
+        Number of frames dropped because the queue was full.
     """
 
     def __init__(self, stream: Stream) -> None:
         """Begin filming at once."""
         self.stream = stream
         self.failure, self.overrun = "", 0
-        self._is_reading = True  # the stream may still be read
+        self._is_reading = True  # the stream may be in use
         self._close_after_reading = False
-        self._is_over = False  # no more frames will be kept
+        self._is_over = False  # further frames are ignored
         self._frames: list[Frame] = []
         self._goes_on = threading.Event()
         self._goes_on.set()
@@ -142,7 +141,7 @@ class BackgroundFilm:
     def wait_for(self, arrival: float, timeout: float) -> bool:
         """Wait for a frame that arrived at `arrival` (time.monotonic) or later.
 
-        Returns whether there is one after at most `timeout` [s].
+        Returns whether one arrived within `timeout` [s].
         """
 
         def has_arrived() -> bool:
@@ -165,7 +164,7 @@ class BackgroundFilm:
     def close(self) -> None:
         """End filming and close the stream.
 
-        A stream that is still being read is closed when that ends: to close a device
+        If a read is in progress, the stream is closed afterwards: closing a device
         during a read can crash the program.
         """
         self.end()
@@ -177,7 +176,7 @@ class BackgroundFilm:
     def _read_frames(self) -> None:
         """Take frames from the driver and queue them.
 
-        It does nothing else, for a frame that waits in the driver may be lost.
+        It does nothing else, as a frame that waits in the driver may be lost.
         """
         try:
             self.stream.begin()
@@ -190,7 +189,7 @@ class BackgroundFilm:
                     self._queue.put_nowait(frame)
                 except queue.Full:
                     self.overrun += 1
-        except Exception as error:  # of any kind: no other thread would hear of it
+        except Exception as error:  # any kind, to report it in the main thread
             self.failure = str(error) or type(error).__name__
         finally:
             with self._changed:
@@ -200,7 +199,7 @@ class BackgroundFilm:
             self._queue.put(None)
 
     def _convert_frames(self) -> None:
-        """Make frames grey and keep them until there are no more or one fails."""
+        """Convert frames to grey and store them, until the end or a failure."""
         try:
             while (frame := self._queue.get()) is not None:
                 grey = replace(frame, image=to_grey(frame.image))
@@ -210,7 +209,7 @@ class BackgroundFilm:
         except Exception as error:  # as above
             self.failure = str(error) or type(error).__name__
             self._goes_on.clear()
-            # the other thread must not wait for room
+            # do not block the other thread
             while self._queue.get() is not None:
                 pass
         finally:

@@ -1,4 +1,4 @@
-"""Image files and videos that are played at the rate of a camera, instead of one."""
+"""Image files and videos that replace a camera, played at its rate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 class PlayedSource(Source):
     """A source of stored images."""
 
-    delay = 0.0  # they come when they are due
+    delay = 0.0  # images arrive when they are due
 
     @abstractmethod
     def images(self) -> Sequence[np.ndarray]:
@@ -32,7 +32,7 @@ class PlayedSource(Source):
     def open(self, camera: Camera) -> Stream:
         """Play the images, one every 1 / camera.fps.
 
-        Raises HardwareError if they have another size.
+        Raises HardwareError for images of another size.
         """
         try:
             images = self.images()
@@ -55,9 +55,9 @@ class PlayedSource(Source):
 
 @dataclass
 class PlayedStream(Stream):
-    """Images that are being played; their stamps are times of the film.
+    """Images being played, stamped with times of the film.
 
-    number: of the next image. start: host time of the first one [s].
+    number: index of the next image. start: host time of the first image [s].
     """
 
     images: Sequence[np.ndarray]
@@ -66,7 +66,7 @@ class PlayedStream(Stream):
     start: float = field(default_factory=time.monotonic)
 
     def begin(self) -> None:
-        """Start with the first image now."""
+        """Start the playback."""
         self.number, self.start = 0, time.monotonic()
 
     def read(self) -> Frame | None:
@@ -109,9 +109,9 @@ class ImageFolder(PlayedSource):
 
 @dataclass(frozen=True)
 class VideoFile(PlayedSource):
-    """A video, played at the camera's fps whatever the file states.
+    """A video, played at the camera's fps instead of its own.
 
-    every: number of frames from one still to the next.
+    every: number of frames between stills.
     """
 
     path: Path
@@ -129,7 +129,7 @@ class VideoFile(PlayedSource):
     def stills(
         self, camera: Camera, ready: Callable[[], object]
     ) -> Iterator[np.ndarray]:
-        """Yield one frame in `every`, because neighbours show the same."""
+        """Yield every n-th frame (`every`), as neighbours are nearly equal."""
         images = self.images()
         for number in range(0, len(images), self.every):
             yield images[number]

@@ -14,8 +14,8 @@ from stringcast.hardware.camera.schedule import FrameSchedule, fit_schedule
 from stringcast.hardware.camera.source import Frame
 from stringcast.stages.execute.interfaces import Recording
 
-# fraction of equal neighbours at rest above which images are drawn or compressed, so
-# that equality shows no repetition
+# fraction of equal neighbours at rest above which images have no noise (rendered or
+# compressed), so that equality does not mean repetition
 NOISELESS_FRACTION = 0.75
 LATE_PERIODS = 0.5  # lateness above which a frame counts as late
 
@@ -29,11 +29,11 @@ class RawFilm:
     frames
         Grey frames in the order of arrival.
     until
-        When filming could end, in the movement's time [s].
+        Earliest regular end of filming, in the movement's time [s].
     failure
-        Why it ended before; empty if it did not.
+        Why filming ended earlier; empty if it did not.
     remarks
-        What could not be verified.
+        Unverified properties.
     """
 
     frames: Sequence[Frame]
@@ -54,7 +54,7 @@ def build_recording(
     moved_at
         Host time of the movement's start [s].
     delay
-        From mid-exposure to the quickest arrival [s].
+        Time from mid-exposure to the quickest arrival [s].
     period
         Nominal period of the frames [s].
     most_lost
@@ -70,7 +70,7 @@ def build_recording(
     stamps = np.array([frame.stamp for frame in film.frames])
     images = [frame.image for frame in film.frames]
 
-    # frames that repeat the one before were not exposed
+    # repeated frames were not exposed
     resting = int((arrivals < 0).sum())
     is_repeated = repeated_frames(images, resting)
     repeated_count = int(is_repeated.sum())
@@ -82,7 +82,7 @@ def build_recording(
         "repeats": np.diff(np.append(new, len(is_repeated))) - 1,
     }
 
-    # a repeated frame left its place on the schedule empty
+    # a repeated frame means a missing exposure
     due = max(schedule.last_due_number(film.until), int(schedule.numbers[-1])) + 1
     dropped = due - len(schedule.numbers)
     is_late = schedule.lateness > LATE_PERIODS * schedule.period
@@ -110,17 +110,17 @@ def build_recording(
 
 
 def repeated_frames(images: Sequence[np.ndarray], resting: int) -> np.ndarray:
-    """Find images that repeat the one before to the bit.
+    """Find images that equal the previous one bit by bit.
 
-    The noise of a sensor allows no such image. Where nearly all images before the
-    movement are equal, there is no noise to judge by.
+    Sensor noise excludes equal images. If nearly all images before the movement are
+    equal, there is no noise, and none counts as repeated.
 
     Parameters
     ----------
     images
         F images.
     resting
-        How many come before the movement.
+        Number of images before the movement.
 
     Returns
     -------
@@ -139,11 +139,11 @@ def repeated_frames(images: Sequence[np.ndarray], resting: int) -> np.ndarray:
 def exposure_times(
     arrivals: np.ndarray, stamps: np.ndarray, period: float
 ) -> tuple[np.ndarray, FrameSchedule]:
-    """Estimate when frames were exposed.
+    """Estimate the exposure times of frames.
 
-    A source's own stamps are times of exposure except for a constant, which the
-    quickest arrival gives. Arrivals are late by chance, exposures are not: without
-    stamps they follow the schedule.
+    Stamps of the source are exposure times up to a constant, given by the quickest
+    arrival. Without stamps, exposure times follow a steady schedule, as only arrivals
+    have random delays.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def exposure_times(
     times : (F,)
         Times of exposure [s].
     schedule : FrameSchedule
-        The schedule behind them.
+        The schedule of these times.
     """
     count = len(arrivals)
     if count < 3:
@@ -173,9 +173,9 @@ def exposure_times(
 
 
 def _are_clock_times(stamps: np.ndarray, arrivals: np.ndarray, period: float) -> bool:
-    """Return whether a source's stamps (F,) are those of a clock, as arrivals are [s].
+    """Return whether stamps (F,) come from a clock [s].
 
-    Others are the number of the frame times a nominal period, or nothing.
+    Other stamps are frame numbers times the nominal period, or NaN.
     """
     if not (np.isfinite(stamps).all() and (np.diff(stamps) > 0).all()):
         return False

@@ -1,10 +1,10 @@
-"""The schedule of a steady camera behind the times at which frames were noted.
+"""A steady schedule fitted to the arrival times of frames.
 
-A camera exposes at a steady rate. The noted times are late, now a little, now a lot,
-never early, and some frames are missing. The rate at which the times are most in step
-(the highest peak of their periodogram) is found whatever the lateness of single frames.
-The quickest frames then show the moments of exposure. A frame belongs to the last
-moment before it, and no two frames to the same one: the earlier of two was late.
+A camera exposes at a steady rate. Arrivals have random delays, and some frames are
+missing. The highest peak of the periodogram gives the rate, robustly against delays.
+The quickest frames give the phase. A frame belongs to the last moment of exposure
+before it. Of two frames with the same moment, the earlier one belongs to the moment
+before.
 
 References
 ----------
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-PERIOD_TOLERANCE = 0.05  # relative deviation of the true period from the nominal one
-QUICK_PERCENTILE = 10  # of the lateness, which counts as in time
-# periods by which a frame may come before the quickest ones show that it is due
+PERIOD_TOLERANCE = 0.05  # relative deviation from the nominal period
+QUICK_PERCENTILE = 10  # of the lateness, taken as zero delay
+# periods by which a frame may arrive before its due time
 EARLY_PERIODS = 0.25
 
 
@@ -35,9 +35,9 @@ class FrameSchedule:
     numbers : (F,) int
         Number of each frame on the schedule, from 0.
     due : (F,)
-        When each frame would have come if it were one of the quickest [s].
+        Arrival time of each frame without extra delay [s].
     lateness : (F,)
-        How much later it came [s].
+        Extra delay of each frame [s].
     """
 
     period: float
@@ -52,12 +52,12 @@ class FrameSchedule:
 
 
 def fit_schedule(t: np.ndarray, period: float) -> FrameSchedule:
-    """Fit a steady schedule to noted times.
+    """Fit a steady schedule to arrival times.
 
     Parameters
     ----------
     t : (F,)
-        Sorted times at which frames were noted [s].
+        Sorted arrival times [s].
     period
         Nominal period [s].
 
@@ -69,29 +69,29 @@ def fit_schedule(t: np.ndarray, period: float) -> FrameSchedule:
     elapsed = t - t[0]
     rate, phase = _most_coherent_rate(elapsed, period)
 
-    # the number of the last moment of exposure before each frame
+    # number of the last exposure before each frame
     periods = elapsed * rate - phase / (2 * np.pi)  # near whole numbers
     late_periods = periods - np.rint(periods)
     quickest_periods = np.percentile(late_periods, QUICK_PERCENTILE)
     last_moment = np.floor(periods - quickest_periods + EARLY_PERIODS)
     numbers = _distinct_numbers(last_moment.astype(int))
 
-    # the schedule through the quickest frames [s]
+    # schedule through the quickest frames [s]
     fitted_period = _fit_period(numbers, t, period)
-    start = t - fitted_period * numbers  # moment of frame 0, by each frame
+    start = t - fitted_period * numbers  # time of frame 0 according to each frame
     quickest_start = np.percentile(start, QUICK_PERCENTILE)
     due = quickest_start + fitted_period * numbers
     return FrameSchedule(fitted_period, numbers, due, start - quickest_start)
 
 
 def _most_coherent_rate(elapsed: np.ndarray, period: float) -> tuple[float, float]:
-    """Find the rate near 1 / period [1/s] with which times are most in step.
+    """Find the rate near 1 / period [1/s] with the largest coherence.
 
     It is the highest peak of the periodogram |sum_k exp(2 pi i rate t_k)|^2 (Bartlett
     1963). Returns the rate and the phase of the sum [rad].
     """
     span_periods = elapsed[-1] / period + 1
-    # eight to the width of a peak
+    # eight steps per width of a peak
     steps = int(np.ceil(16 * PERIOD_TOLERANCE * span_periods))
     low, high = 1 - PERIOD_TOLERANCE, 1 + PERIOD_TOLERANCE
     rates = np.linspace(low, high, 2 * steps + 1) / period
@@ -101,12 +101,12 @@ def _most_coherent_rate(elapsed: np.ndarray, period: float) -> tuple[float, floa
 
 
 def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
-    """Count frames from 0, none twice.
+    """Count frames from 0 without repetitions.
 
-    Of two frames with one number the earlier was late, and so are those that it pushes.
+    Of two frames with one number, the earlier gets the number before, and so on.
     """
     indices = np.arange(len(numbers))
-    # numbers that rise by one or more have excesses over the indices that never fall
+    # strictly increasing numbers minus indices never decrease
     excess = numbers - indices
     least_excess_behind = np.minimum.accumulate(excess[::-1])[::-1]
     distinct = least_excess_behind + indices
@@ -114,9 +114,9 @@ def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
 
 
 def _fit_period(numbers: np.ndarray, t: np.ndarray, period: float) -> float:
-    """Fit the period [s] by a line, then again without the later half of the frames.
+    """Fit the period [s] by a line, then again to the quicker half of the frames.
 
-    Fewer than two periods, or too few quick frames, leave it as it was before.
+    With fewer than two periods or too few quick frames it stays unchanged.
     """
     if numbers[-1] <= 1:
         return period

@@ -1,6 +1,6 @@
-"""The role of a camera: a source of frames, which opens as a stream.
+"""Sources of frames, and the streams that they open.
 
-A source is settings; a stream is read frame by frame.
+A source holds settings; a stream yields frames.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class Frame:
     Attributes
     ----------
     arrival_time
-        Host time of its arrival, before it was decoded (time.monotonic) [s].
+        Host time of arrival, before decoding (time.monotonic) [s].
     stamp
-        The source's own time, on its own clock; NaN if it gives none [s].
+        Time stamp on the source's clock; NaN without [s].
     image : (height, width) or (height, width, 3) uint8
         Grey, or BGR.
     """
@@ -34,17 +34,17 @@ class Frame:
 
 
 class Stream(ABC):
-    """An open source; its remarks state what could not be verified."""
+    """An open source; `remarks` lists unverified properties."""
 
     remarks: tuple[str, ...] = ()
 
     @abstractmethod
     def begin(self) -> None:
-        """Drop old frames, so that those read from now on are exposed from now on."""
+        """Drop buffered frames, so that the next one is exposed from now on."""
 
     @abstractmethod
     def read(self) -> Frame | None:
-        """Wait for the next frame; return None if no more will come."""
+        """Wait for the next frame; return None after the last."""
 
     @abstractmethod
     def close(self) -> None:
@@ -57,7 +57,7 @@ class Source(ABC):
     Attributes
     ----------
     delay
-        From the middle of the exposure to the arrival of the quickest frames [s].
+        Time from mid-exposure to the arrival of the quickest frames [s].
     """
 
     delay: float
@@ -74,7 +74,7 @@ class Source(ABC):
         Parameters
         ----------
         camera
-            The camera as it should be: size and rate.
+            The required size and rate.
 
         Returns
         -------
@@ -84,7 +84,7 @@ class Source(ABC):
         Raises
         ------
         HardwareError
-            If it cannot be opened or gives other frames.
+            If the source cannot be opened or gives other frames.
         """
 
     @abstractmethod
@@ -98,7 +98,7 @@ class Source(ABC):
         camera
             The camera as it should be.
         ready
-            Waits for the user, if the pictures need one.
+            Waits for the user, if needed.
 
         Yields
         ------

@@ -1,4 +1,4 @@
-"""The check of a camera before anything moves: size, rate, life, steady brightness."""
+"""Check of a camera before a movement: size, rate, changing images, brightness."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from stringcast.hardware.camera.source import Frame, Stream
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
-LOOK_S = 0.5  # [s] that the check takes
+LOOK_S = 0.5  # [s] of the check
 MIN_FRAMES = 10  # needed for the check
-TIMEOUT_S = 5.0  # [s] until that many must have come
+TIMEOUT_S = 5.0  # [s] for that many frames
 RATE_TOLERANCE = 0.05  # relative error of the frame rate
-# relative change in brightness of a still scene; a lamp's flicker is less over a
-# quarter of the time
+# relative change in brightness of a still scene; flicker averages out over a quarter of
+# the check
 BRIGHTNESS_TOLERANCE = 0.03
 
 
 def check_stream(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
-    """Refuse a stream that is not what the settings promise.
+    """Refuse a stream that differs from the settings.
 
     Parameters
     ----------
@@ -30,17 +30,17 @@ def check_stream(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
     name
         Its name for messages.
     camera
-        The camera as it should be.
+        The required size and rate.
 
     Returns
     -------
     tuple of str
-        Remarks on what is doubtful.
+        Remarks on doubtful properties.
 
     Raises
     ------
     HardwareError
-        If frames do not come, or have another format, size or rate, or never change.
+        If no frames arrive, or they have another format, size or rate, or never change.
     """
     stream.begin()
     frames = _read_briefly(stream)
@@ -80,7 +80,7 @@ def check_stream(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
 
 
 def _read_briefly(stream: Stream) -> Sequence[Frame]:
-    """Read frames for a moment, or until there are enough."""
+    """Read frames for LOOK_S, longer if they are too few."""
     start = time.monotonic()
     frames: list[Frame] = []
     while True:
@@ -95,7 +95,7 @@ def _read_briefly(stream: Stream) -> Sequence[Frame]:
 
 
 def _brightness_remarks(frames: Sequence[Frame]) -> tuple[str, ...]:
-    """Remark on a brightness that changes from the first to the last quarter."""
+    """Return a remark if brightness changes from the first to the last quarter."""
     brightness = [frame.image.mean() for frame in frames]
     quarter = len(frames) // 4
     first, last = np.mean(brightness[:quarter]), np.mean(brightness[-quarter:])

@@ -1,7 +1,7 @@
 """The host's side of a bus of servos.
 
-Velocities go out by sync write, angles come back by sync read, and the servos' own bus
-watchdogs stop the arm.
+Sync write sends velocities, sync read returns angles. The servos' bus watchdogs stop
+the arm.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ from stringcast.stages.model.arm import Arm
 
 serial = LazyModule("serial")
 
-# of a packet before the bus counts as dead: a disturbed line loses single ones
+# repetitions of a packet, as a disturbed line loses single ones
 MAX_TRIES = 3
-# [s] that a read sleeps for bytes; the library would spin and occupy a core
+# [s] of sleep of a read; the library would busy-wait
 READ_BLOCK_S = 0.001
 
 
 def link_errors() -> tuple[type[Exception], ...]:
-    """Return the errors that a pulled cable raises."""
+    """Return the error types of a pulled cable."""
     errors: tuple[type[Exception], ...] = (serial.SerialException, OSError)
     try:
         import termios  # noqa: PLC0415
@@ -71,7 +71,7 @@ class ServoSettings:
     Attributes
     ----------
     id
-        Its number on the bus.
+        Its id on the bus.
     zero
         Its position at joint angle zero [counts of 2 pi / 4096].
     direction
@@ -85,21 +85,21 @@ class ServoSettings:
 
 @dataclass
 class DynamixelBus:
-    """A bus of servos, which fills the role `hardware.arm.wire.Wire`.
+    """A bus of servos; implements `hardware.arm.wire.Wire`.
 
     Attributes
     ----------
     servos
         The servos, base first.
     required_speeds
-        What each servo must be able to do [rad/s].
+        Speed that each servo must reach [rad/s].
     reply
-        Time that an answer may take [s].
+        Timeout of an answer [s].
     patience
         Multiples of 20 ms without a command after which each servo stops by itself.
     rounding_debt : (J,)
-        Velocity that rounding has left out so far [rad/s]. It is made up for in the
-        next command, so that rounding to 0.024 rad/s does not add up to a displacement.
+        Accumulated rounding error [rad/s]. The next command compensates it, so that
+        rounding to 0.024 rad/s does not add up to a displacement.
     max_counts : (J,)
         Largest velocity of each servo [counts]; zero until `set_limits`.
     """
@@ -138,7 +138,7 @@ class DynamixelBus:
     def set_limits(self, arm: Arm) -> None:
         """Set each servo's own limits and read them back.
 
-        The velocity limit outlasts the power and is only ever lowered.
+        The velocity limit survives power-off and is only ever lowered.
         """
         max_counts = []
         for servo, speed, acceleration in zip(
@@ -146,7 +146,7 @@ class DynamixelBus:
         ):
             max_counts.append(math.ceil(speed / VELOCITY_UNIT))
             acceleration_counts = math.ceil(acceleration / ACCELERATION_UNIT)
-            # the velocity limit can be changed only without torque
+            # writable only with torque off
             self._write(servo, TORQUE_ENABLE, 0)
             self._set_and_verify(servo, VELOCITY_LIMIT, max_counts[-1])
             self._set_and_verify(servo, PROFILE_ACCELERATION, acceleration_counts)
@@ -157,7 +157,7 @@ class DynamixelBus:
         """Switch the torque off and close the port."""
         if self.handler is None:
             return
-        with suppress(HardwareError):  # no servo is there: the bus watchdog has acted
+        with suppress(HardwareError):  # no servo answers: the bus watchdog has tripped
             for _ in range(MAX_TRIES):
                 self._write_all(TORQUE_ENABLE, 0)
         if self.handler.ser is not None:
@@ -178,18 +178,18 @@ class DynamixelBus:
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
         """Send velocities (J,) [rad/s], in units of 0.229 rpm.
 
-        The first command arms the watchdogs. Returns the command's number and what was
-        sent.
+        The first command arms the watchdogs. Returns number and sent velocities of the
+        command.
         """
         if not self.watchdogs_armed:
             self._write_all(BUS_WATCHDOG, self.patience)
             self.watchdogs_armed, self.rounding_debt = True, np.zeros(len(self.servos))
         wanted = speeds + self.rounding_debt
         counts = np.rint(wanted / VELOCITY_UNIT).astype(int)
-        # a servo obeys no velocity beyond its limit
+        # a servo ignores velocities beyond its limit
         counts = np.clip(counts, -self.max_counts, self.max_counts)
         sent = counts * VELOCITY_UNIT
-        # what a limit cut off is not made up for
+        # do not compensate what a limit cut off
         half = VELOCITY_UNIT / 2
         self.rounding_debt = np.clip(wanted - sent, -half, half)
         for servo, count in zip(self.servos, counts, strict=True):
@@ -200,7 +200,7 @@ class DynamixelBus:
         return self.command_number, sent
 
     def answers(self) -> Sequence[ArmAnswer]:
-        """Read the positions of the servos, once after each velocity."""
+        """Read the positions of the servos, once per velocity command."""
         if not self.answer_pending:
             return []
         self.answer_pending = False
@@ -219,9 +219,9 @@ class DynamixelBus:
     def stop(self) -> None:
         """Set velocity zero, then disarm the watchdogs that were armed here.
 
-        One that has acted stays as it is.
+        Tripped ones stay tripped.
         """
-        with suppress(HardwareError):  # no servo is there: the watchdogs act
+        with suppress(HardwareError):  # no servo answers: the watchdogs trip
             for _ in range(MAX_TRIES):
                 self._write_all(GOAL_VELOCITY, 0)
             self._note_tripped_watchdogs(self._read_all())
@@ -230,9 +230,9 @@ class DynamixelBus:
             self.watchdogs_armed = False
 
     def latch(self) -> None:
-        """Set velocity zero, then be silent until the servos' watchdogs have tripped.
+        """Set velocity zero, then wait until the servos' watchdogs have tripped.
 
-        That is their own latch.
+        A tripped watchdog latches the servo.
         """
         self.latched = True
         with suppress(HardwareError):
@@ -242,7 +242,7 @@ class DynamixelBus:
             time.sleep(3 * WATCHDOG_UNIT_S)
 
     def clear(self) -> None:
-        """Undo tripped watchdogs; connect first if the bus is not open."""
+        """Clear tripped watchdogs; connect first if the bus is not open."""
         if self.handler is None:
             self._connect()
         self._make_ready()
@@ -251,7 +251,7 @@ class DynamixelBus:
     def _make_ready(self) -> None:
         """Set velocity mode at velocity zero, torque on, watchdogs off."""
         for servo in self.servos:
-            # the mode can be changed only without torque
+            # writable only with torque off
             self._write(servo, TORQUE_ENABLE, 0)
             self._set_and_verify(servo, OPERATING_MODE, VELOCITY_MODE)
             # first: a tripped watchdog makes the goal read-only
@@ -269,7 +269,7 @@ class DynamixelBus:
                 "dynamixel-sdk"
             ) from error
         self.handler = self.sdk.PortHandler(self.port)
-        # The library waits for 34 ms at least, seven ticks.
+        # The library waits at least 34 ms, seven ticks.
         self.handler.setPacketTimeout = lambda length: (
             self.handler.setPacketTimeoutMillis(self.reply * 1e3)
         )
@@ -337,7 +337,7 @@ class DynamixelBus:
     ) -> None:
         """Set a register and read it back.
 
-        A servo may acknowledge a value that it does not take.
+        A servo may acknowledge a value without storing it.
         """
         if self._read(servo, register) != value:
             self._write(servo, register, value)
@@ -352,15 +352,15 @@ class DynamixelBus:
     def _exchange(
         self, servo: ServoSettings, act: Callable[..., Any], *details: Any
     ) -> Any:
-        """Exchange packets with one servo, again if one is lost.
+        """Exchange packets with one servo; repeat if one is lost.
 
-        Returns what the library's method `act` returns before its two error codes.
+        Returns the result of the library's method `act` without its two error codes.
         Raises HardwareError if the servo does not answer or reports an error.
         """
         fault = ""
         for _ in range(MAX_TRIES):
             *data, result, error = self._call(act, self.handler, servo.id, *details)
-            error &= 0x7F  # without the top bit: see HARDWARE_ERROR
+            error &= 0x7F  # ignore the top bit: see HARDWARE_ERROR
             if result == self.sdk.COMM_SUCCESS and error == 0:
                 return data
             fault = self.packets.getRxPacketError(error)
@@ -375,7 +375,7 @@ class DynamixelBus:
         data: list[int] = []
         for servo in self.servos:
             data += servo.id, *value.to_bytes(register.size, "little")
-        # looked up once the call has found the bus open
+        # looked up after the call has checked that the bus is open
         self._call(
             lambda: self.packets.syncWriteTxOnly(
                 self.handler, *register, data, len(data)
@@ -400,16 +400,16 @@ class DynamixelBus:
                 "The servos' bus watchdogs stop the arm."
             ) from error
         finally:
-            # the library does not reset it after an interruption
+            # the library does not reset this after an interruption
             self.handler.is_using = False
 
     def _note_tripped_watchdogs(self, states: Sequence[bytes]) -> None:
-        """Note that the bus is latched if a servo's watchdog has tripped."""
+        """Record a latched bus if a servo's watchdog has tripped."""
         if WATCHDOG_TRIPPED in _watchdog_values(states):
             self.latched = True
 
     def _hold_reason(self, states: Sequence[bytes]) -> str:
-        """Return why a servo follows no commands, by its watchdog; empty if all do."""
+        """Return why a servo ignores commands; empty if none does."""
         watchdogs = _watchdog_values(states)
         if WATCHDOG_TRIPPED in watchdogs:
             return "a servo's bus watchdog stopped it"
@@ -424,5 +424,5 @@ class DynamixelBus:
 
 
 def _watchdog_values(states: Sequence[bytes]) -> set[int]:
-    """Return the values that the servos' watchdogs hold."""
+    """Return the watchdog values of the servos."""
     return {register_value(state, BUS_WATCHDOG) for state in states}

@@ -1,6 +1,6 @@
-"""Undo bus watchdogs, after a person has looked at the arm.
+"""Clear bus watchdogs after a person has checked the arm.
 
-It is called as `python -m stringcast.hardware.dynamixel.clear PORT ID ...`.
+Usage: `python -m stringcast.hardware.dynamixel.clear PORT ID ...`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
 
 
 def main() -> None:
-    """Ask the person at the arm, then clear."""
+    """Ask a person to check the arm, then clear."""
     parser = argparse.ArgumentParser(
         prog="python -m stringcast.hardware.dynamixel.clear", description=__doc__
     )

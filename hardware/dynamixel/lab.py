@@ -34,7 +34,7 @@ def open_lab(
     Parameters
     ----------
     arm, camera
-        The arm and the camera as they should be.
+        The required arm and camera.
     seed, trial
         Unused: nothing is random here.
     port, baud, servos, reply, patience

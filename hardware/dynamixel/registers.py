@@ -1,4 +1,4 @@
-"""The part of the control table that a velocity-driven arm needs.
+"""The registers of the control table for a velocity-driven arm.
 
 References
 ----------
@@ -36,7 +36,7 @@ STATE_BLOCK = Register(
 
 VELOCITY_MODE = 1  # of OPERATING_MODE: the servo follows GOAL_VELOCITY
 TIME_BASED_PROFILE = 4  # bit of DRIVE_MODE: PROFILE_ACCELERATION would be a time [ms]
-# of BUS_WATCHDOG: it stopped the servo, whose goals are read-only until 0 is written
+# of BUS_WATCHDOG: the servo was stopped; goals are read-only until 0 is written
 WATCHDOG_TRIPPED = 255
 WATCHDOG_UNIT_S = 0.020  # [s]
 CLOCK_WRAP_MS = 32768  # [ms] at which REALTIME_TICK wraps

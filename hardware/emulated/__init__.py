@@ -1,1 +1,1 @@
-"""Shared parts of emulated arms: joints that hang by wires, and a pseudo-terminal."""
+"""Shared parts of emulated arms: wire-driven joints and a pseudo-terminal."""

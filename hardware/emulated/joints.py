@@ -1,6 +1,6 @@
 """The joints of a wire-driven arm.
 
-Each joint hangs by an elastic wire on a motor whose velocity loop follows the firmware.
+An elastic wire connects each joint to a motor with a velocity loop.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 STEP_S = 0.0005  # [s]
 MOTOR_LAG_S = 0.004  # [s] time constant of the motor's velocity loop
-WIRE_FREQUENCY_HZ = 30.0  # [Hz] of the joint on its wire, motor held
+WIRE_FREQUENCY_HZ = 30.0  # [Hz] of the joint on its wire, with fixed motor
 WIRE_DAMPING_RATIO = 0.7  # of critical damping
 STANDSTILL_SPEED = 0.01  # [rad/s] below which a joint is at rest
 
@@ -19,7 +19,7 @@ STANDSTILL_SPEED = 0.01  # [rad/s] below which a joint is at rest
 class Joint:
     """A joint on its wire.
 
-    motor, angle: of the motor and the joint [rad]. drive, speed: their velocities
+    motor, angle: angles of motor and joint [rad]. drive, speed: their velocities
     [rad/s]. offset: error of the encoder [rad].
     """
 
@@ -30,7 +30,7 @@ class Joint:
     offset: float = 0.0
 
     def step(self, target: float) -> None:
-        """Let one step pass at a commanded velocity [rad/s], by semi-implicit Euler."""
+        """Simulate one step at a commanded velocity [rad/s] (semi-implicit Euler)."""
         self.drive += (target - self.drive) * STEP_S / MOTOR_LAG_S
         self.motor += self.drive * STEP_S
         turn = 2 * math.pi * WIRE_FREQUENCY_HZ

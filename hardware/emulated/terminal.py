@@ -27,20 +27,20 @@ class UnpluggedError(Exception):
 
 @dataclass
 class EmulatedDevice(ABC):
-    """A device on a clock of its own, with a record of its events.
+    """A device with its own clock and a record of its events.
 
     Attributes
     ----------
     faults
-        Faults by number of the velocity command, from 0.
+        Faults by number of the velocity command.
     log
-        The file in which every event is recorded, as a line of JSON.
+        File for the events, one line of JSON each.
     clock
         True time [s].
     unsimulated_s
-        Time that passed but makes no whole step [s].
+        Remainder of time below one step [s].
     deaf_until
-        Until when nothing is read [s].
+        Time until which nothing is read [s].
     velocity_count
         Number of the next velocity command.
     last_state
@@ -56,26 +56,26 @@ class EmulatedDevice(ABC):
     last_state: tuple[str, bool] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Note the first state, which is no event."""
+        """Store the first state, which is not an event."""
         self.last_state = self.state
 
     @abstractmethod
     def receive(self, data: bytes) -> None:
-        """Take bytes from the host; raise UnpluggedError on that fault."""
+        """Receive bytes from the host; raise UnpluggedError on that fault."""
 
     @abstractmethod
     def step(self) -> bytes:
-        """Let one step pass; return the bytes that leave in it."""
+        """Simulate one step; return the bytes sent in it."""
 
     @property
     @abstractmethod
     def state(self) -> tuple[str, bool]:
-        """The device's state in a word, and whether the arm stands."""
+        """The device's state, and whether the arm is at rest."""
 
     @property
     @abstractmethod
     def facts(self) -> dict[str, list[float]]:
-        """The numbers of each joint that are recorded with every event."""
+        """Numbers of each joint, recorded with every event."""
 
     def record_event(self, event: str) -> None:
         """Record an event with the time [s], the state and the facts."""
@@ -83,7 +83,7 @@ class EmulatedDevice(ABC):
         self.log.write(json.dumps(row) + "\n")
 
     def advance(self, elapsed: float) -> bytes:
-        """Let `elapsed` [s] pass; return the bytes that leave in it."""
+        """Simulate `elapsed` [s]; return the bytes sent in it."""
         out = b""
         self.unsimulated_s += elapsed
         while self.unsimulated_s >= STEP_S:
@@ -143,9 +143,9 @@ def command_parser(
 
 
 def serve(device: EmulatedDevice, duration: float, after: float) -> None:
-    """Serve a device for `duration` seconds, or until SIGTERM or the end of its parent.
+    """Serve a device for `duration` seconds, or until SIGTERM or its parent's end.
 
-    Then, or unplugged, it goes on alone for `after` seconds.
+    Afterwards, or unplugged, it runs on alone for `after` seconds.
     """
     ended = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: ended.set())

@@ -1,6 +1,6 @@
-"""Undo the emergency stop, after a person has looked at the arm.
+"""Clear the emergency stop after a person has checked the arm.
 
-It is called as `python -m stringcast.hardware.serial.clear PORT`.
+Usage: `python -m stringcast.hardware.serial.clear PORT`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from stringcast.hardware.serial.wire import SerialWire
 
 
 def main() -> None:
-    """Ask the person at the arm, then clear."""
+    """Ask a person to check the arm, then clear."""
     parser = argparse.ArgumentParser(
         prog="python -m stringcast.hardware.serial.clear", description=__doc__
     )

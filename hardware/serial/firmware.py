@@ -1,7 +1,7 @@
-"""The device's side of the link, as README.md specifies it.
+"""The device's side of the link, specified in README.md.
 
-It has no clock, port or joints of its own. `device/stringcast.c` is the same in C;
-tests feed both the same bytes and expect the same answers.
+It has no clock, port or joints. `device/stringcast.c` is the same in C; tests send both
+the same bytes and compare the answers.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ ZERO_SPEEDS = (0.0,) * JOINT_COUNT
 NO_LIMITS = (*(0.0,) * (2 * JOINT_COUNT), 0, 0)  # nothing moves before limits are set
 MOVING_STATES = (DeviceState.MOVING, DeviceState.CLAMPED)
 READY_STATES = (DeviceState.IDLE, *MOVING_STATES)
-# ticks over which a velocity may change at full acceleration: one command may be lost
-# or overtaken
+# ticks of velocity change at full acceleration, as one command may be lost
 ACCELERATION_TICKS = 2
 
 
@@ -42,15 +41,15 @@ class Firmware:
     Attributes
     ----------
     watchdog
-        The longest watchdog time that it accepts [ms].
+        The longest accepted watchdog time [ms].
     state
         Its state.
     target : (J,)
-        Velocities that the joints' loops are to follow [rad/s].
+        Commanded velocities of the joints [rad/s].
     last_velocity_us
-        Device clock of the last velocity that was obeyed [us].
+        Device clock at the last obeyed velocity [us].
     last_sequence
-        Sequence number of the last command that later ones must follow.
+        Sequence number that further velocities must exceed.
     limits
         The limits in force, as in `LimitsAnswer`.
     """
@@ -64,7 +63,7 @@ class Firmware:
     deframer: Deframer = field(default_factory=Deframer)
 
     def tick(self, micros: int) -> None:
-        """Check the watchdog, from a timer that nothing can delay.
+        """Check the watchdog, from a timer interrupt.
 
         micros: device clock [us], wraps at 2^32.
         """
@@ -74,9 +73,9 @@ class Firmware:
             self._stop(DeviceState.TRIPPED)
 
     def receive(self, data: bytes, micros: int, angles: Sequence[float]) -> bytes:
-        """Obey the frames in data and return the answers.
+        """Process the frames in data and return the answers.
 
-        angles: measured now (J,) [rad].
+        angles: measured joint angles (J,) [rad].
         """
         answers = b""
         for frame in self.deframer.frames(data):
@@ -84,7 +83,7 @@ class Firmware:
         return answers
 
     def answer_frame(self, frame: bytes, micros: int, angles: Sequence[float]) -> bytes:
-        """Obey one frame and return the answer; empty for what is no whole command."""
+        """Process one frame and return the answer; empty for an invalid one."""
         try:
             command = decode_command(frame)
         except FrameError:
@@ -123,9 +122,9 @@ class Firmware:
                 self._apply_velocity(command, micros)
 
     def _apply_velocity(self, command: Command, micros: int) -> None:
-        """Take over a velocity, cut to the limits.
+        """Set a velocity, clamped to the limits.
 
-        A cut shows in the state until the next STOP or HELLO.
+        After clamping, the state is CLAMPED until the next STOP or HELLO.
         """
         elapsed = 0
         if self.state in MOVING_STATES:

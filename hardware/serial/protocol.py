@@ -11,9 +11,9 @@ import zlib
 from dataclasses import dataclass
 from enum import IntEnum
 
-PROTOCOL_VERSION = 3  # of the protocol: device and driver must have the same
-JOINT_COUNT = 3  # whose velocities a command carries
-MAX_FRAME_BYTES = 64  # bytes between two delimiters; more cannot be a frame
+PROTOCOL_VERSION = 3  # must be equal in device and driver
+JOINT_COUNT = 3  # joints of a velocity command
+MAX_FRAME_BYTES = 64  # bytes between delimiters
 
 
 class FrameKind(IntEnum):
@@ -39,7 +39,7 @@ class DeviceState(IntEnum):
     MOVING = 2  # follows velocities; the watchdog is armed
     TRIPPED = 3  # the watchdog brought it to rest: obeys HELLO only
     LATCHED = 4  # emergency stop: obeys CLEAR only
-    CLAMPED = 5  # as MOVING, but a velocity was beyond the limits and was cut to them
+    CLAMPED = 5  # as MOVING, after a velocity was clamped to the limits
 
 
 _HEAD = struct.Struct("<BH")
@@ -55,15 +55,15 @@ _GREETING = struct.Struct("<BBHB")
 
 
 class FrameError(Exception):
-    """Bytes that are no valid frame of the protocol."""
+    """Bytes that are not a valid frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
     """A command of the host.
 
-    values: speeds [rad/s] of VELOCITY, the host's version of HELLO, those of
-    `LimitsAnswer` of LIMITS, otherwise none.
+    values: VELOCITY: speeds [rad/s]; HELLO: the host's version; LIMITS: as in
+    `LimitsAnswer`; otherwise empty.
     """
 
     kind: FrameKind
@@ -97,7 +97,7 @@ class Greeting:
 
 @dataclass(frozen=True, slots=True)
 class LimitsAnswer:
-    """The device's answer to LIMITS: what it enforces by itself.
+    """The device's answer to LIMITS: the limits in force.
 
     values: largest speed [rad/s] and acceleration [rad/s^2] of each joint, the host's
     tick [us], the watchdog [ms].
@@ -119,7 +119,7 @@ def encode_command(command: Command) -> bytes:
 def decode_command(frame: bytes) -> Command:
     """Decode a command from the bytes between two delimiters.
 
-    Raises FrameError for bytes that are no command, or a speed that is no number.
+    Raises FrameError for an invalid command or a speed that is not finite.
     """
     kind, sequence, body = _parse_frame(frame)
     layout = _BODIES.get(kind, _NONE)
@@ -150,7 +150,7 @@ def encode_answer(answer: DeviceAnswer) -> bytes:
 def decode_answer(frame: bytes) -> DeviceAnswer:
     """Decode an answer from the bytes between two delimiters.
 
-    Raises FrameError for bytes that are no answer, or an angle that is no number.
+    Raises FrameError for an invalid answer or an angle that is not finite.
     """
     kind, sequence, body = _parse_frame(frame)
     try:
@@ -192,7 +192,7 @@ def _parse_frame(frame: bytes) -> tuple[FrameKind, int, bytes]:
 
 
 def encode_cobs(data: bytes) -> bytes:
-    """Encode bytes without zeros, by consistent overhead byte stuffing.
+    """Encode bytes without zeros (consistent overhead byte stuffing).
 
     References
     ----------
@@ -203,7 +203,7 @@ def encode_cobs(data: bytes) -> bytes:
     result = bytearray()
     for block in blocks:
         while len(block) >= 254:
-            result += b"\xff" + block[:254]  # of a full block no zero was taken out
+            result += b"\xff" + block[:254]  # a full block has no zero removed
             block = block[254:]  # noqa: PLW2901
         result += bytes([len(block) + 1]) + block
     return bytes(result)
@@ -218,7 +218,7 @@ def decode_cobs(data: bytes) -> bytes:
             raise FrameError("stuffing")
         result += data[position + 1 : position + code]
         position += code
-        # neither a full block nor the last stands before a zero
+        # no zero follows a full block or the last block
         if code < 255 and position < len(data):
             result.append(0)
     return bytes(result)
@@ -226,12 +226,12 @@ def decode_cobs(data: bytes) -> bytes:
 
 @dataclass
 class Deframer:
-    """A splitter of a stream of bytes at delimiters, which drops what is too long."""
+    """A splitter of a byte stream at delimiters; drops frames that are too long."""
 
     rest: bytes = b""
 
     def frames(self, data: bytes) -> list[bytes]:
-        """Add data; return the frames whose delimiter has come, without empty ones."""
+        """Add data; return completed frames without empty ones."""
         *parts, rest = (self.rest + data).split(b"\0")
-        self.rest = rest[: MAX_FRAME_BYTES + 1]  # enough to know that it is too long
+        self.rest = rest[: MAX_FRAME_BYTES + 1]  # longer frames are dropped anyway
         return [part for part in parts if 0 < len(part) <= MAX_FRAME_BYTES]

@@ -1,4 +1,4 @@
-"""A rehearsal: the real driver on an emulated arm, which swings the virtual string."""
+"""Rehearsal: the real driver moves an emulated arm and the virtual string."""
 
 from __future__ import annotations
 
@@ -30,15 +30,14 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 
 BAUD = 1_000_000  # a pseudo-terminal takes any
-# Environment variable with the file in which the device records motion and rest. It is
-# no setting: settings come from other people's runs too, and must not name a file to
-# write.
+# Environment variable with the log file of the device. It is not a setting, as settings
+# of foreign runs must not name a file to write.
 LOG_VARIABLE = "STRINGCAST_EMULATOR_LOG"
 
 
 @contextmanager
 def emulated_device(options: Sequence[str]) -> Iterator[str]:
-    """Run an emulated device in its own process and give its port to the block."""
+    """Run an emulated device in its own process and yield its port."""
     command = ["-m", "stringcast.hardware.serial.emulator", *options]
     with subprocess.Popen(
         [sys.executable, *command],
@@ -60,9 +59,9 @@ def emulated_device(options: Sequence[str]) -> Iterator[str]:
 
 @dataclass(kw_only=True)
 class RehearsalArm(VelocityArm):
-    """The real driver on an emulated device, whose wire is opened with it.
+    """The real driver with an emulated device.
 
-    The string of the virtual bench follows what the device measured.
+    The virtual string follows the angles measured by the device.
     """
 
     options: Sequence[str]
@@ -118,7 +117,7 @@ def open_lab(
     watchdog
         Watchdog time of the device [ms].
     faults
-        KIND:N, as the emulator takes them.
+        KIND:N, as in the emulator's options.
     source, most_lost
         A real camera; see `FilmingCamera`. None for the virtual one.
 
@@ -131,7 +130,7 @@ def open_lab(
     log_file = os.environ.get(LOG_VARIABLE, os.devnull)
     options = ["--watchdog", str(watchdog), "--log", log_file]
     options += [f"--fault={fault}" for fault in faults]
-    wire = SerialWire("", BAUD)  # the port is known once the emulator runs
+    wire = SerialWire("", BAUD)  # the port is set when the emulator runs
     rehearsal = RehearsalArm(arm, wire, driving, options=options, bench=bench)
     if source is not None:
         return Lab(rehearsal, FilmingCamera(camera, source, most_lost))

@@ -1,4 +1,4 @@
-"""The host's side of the link, as hardware/serial/README.md specifies it."""
+"""The host's side of the link, specified in hardware/serial/README.md."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from stringcast.stages.model.arm import Arm
 
 serial = LazyModule("serial")
 
-ANSWER_TIMEOUT_S = 0.25  # [s] that an exchange may take before it is tried again
-# of a frame before the link counts as dead: a disturbed line loses single ones
+ANSWER_TIMEOUT_S = 0.25  # [s] before an exchange is repeated
+# repetitions of a frame, as a disturbed line loses single ones
 MAX_TRIES = 3
 HOLD_REASONS = {
     DeviceState.FRESH: "the device restarted",
@@ -42,15 +42,15 @@ HOLD_REASONS = {
     DeviceState.LATCHED: "the device is latched",
     DeviceState.CLAMPED: "the device cut a velocity that was beyond its limits",
 }
-# the answer to all other kinds is a Report
+# all other kinds are answered by a Report
 ANSWER_TYPES = {FrameKind.HELLO: Greeting, FrameKind.LIMITS: LimitsAnswer}
-# of the arm's own limits, which the host keeps: its rounding is no fault
+# margin for rounding; the host keeps the exact limits
 LIMIT_MARGIN = 1.01
 
 
 @dataclass
 class SerialWire:
-    """A serial port, which fills the role `hardware.arm.wire.Wire`.
+    """A serial port; implements `hardware.arm.wire.Wire`.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class SerialWire:
     sequence
         Number of the last command.
     last_refusal
-        The fault of the last answer that could not be used.
+        The fault of the last unusable answer.
     clock_us
         The device's clock as last reported, unwrapped [us].
     """
@@ -118,13 +118,13 @@ class SerialWire:
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
         """Send velocities (J,) [rad/s] in single precision.
 
-        Returns the command's number and what was sent.
+        Returns number and sent velocities of the command.
         """
         rounded = speeds.astype(np.float32)
         return self._send(FrameKind.VELOCITY, tuple(rounded)), rounded
 
     def answers(self) -> Sequence[ArmAnswer]:
-        """Return the reports that have come, without greetings and damaged frames."""
+        """Return the arrived reports, without damaged frames."""
         answers = []
         for report in self._read_answers():
             if isinstance(report, Report):
@@ -134,23 +134,20 @@ class SerialWire:
         return answers
 
     def stop(self) -> None:
-        """Send STOP three times and wait for an answer.
-
-        A frame may be lost, and none is in flight after the answer.
-        """
-        with suppress(HardwareError):  # no device is there: its watchdog acts
+        """Send STOP three times, as frames may be lost, and wait for an answer."""
+        with suppress(HardwareError):  # no device answers: its watchdog trips
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.STOP)
             self._report(FrameKind.STOP)
 
     def latch(self) -> None:
-        """Send LATCH three times, for a frame may be lost."""
+        """Send LATCH three times, as frames may be lost."""
         with suppress(HardwareError):
             for _ in range(MAX_TRIES):
                 self._send(FrameKind.LATCH)
 
     def clear(self) -> None:
-        """Undo the emergency stop; connect first if the port is not open."""
+        """Clear the emergency stop; connect first if the port is not open."""
         if self.link is None:
             self._connect()
         self._report(FrameKind.CLEAR)
@@ -171,7 +168,7 @@ class SerialWire:
     def _unwrap_clock(self, micros: int) -> float:
         """Return the device time [s] from its clock of 32 bits.
 
-        It wraps every 72 minutes, and answers may change places.
+        It wraps every 72 minutes, and answers may be reordered.
         """
         last = micros if self.clock_us is None else self.clock_us
         step = (micros - last + 2**31) % 2**32 - 2**31
@@ -186,7 +183,7 @@ class SerialWire:
     def _exchange(
         self, kind: FrameKind, values: tuple[float, ...] = ()
     ) -> DeviceAnswer:
-        """Send and wait for the answer, again if a frame is lost."""
+        """Send and wait for the answer; repeat if a frame is lost."""
         expected = ANSWER_TYPES.get(kind, Report)
         for _ in range(MAX_TRIES):
             number = self._send(kind, values)
@@ -215,11 +212,11 @@ class SerialWire:
         return self.sequence
 
     def _read_answers(self) -> list[DeviceAnswer]:
-        """Return the whole answers that have arrived."""
+        """Return the completed answers."""
         assert self.link is not None
         try:
             data = self.link.read(4096)
-        # TypeError: closed under pyserial's hands
+        # TypeError: port closed during the call
         except (serial.SerialException, OSError, TypeError) as error:
             raise self._link_error(error) from error
         answers = []
@@ -240,7 +237,7 @@ class SerialWire:
 def check_latency(
     port: str, devices: Path = Path("/sys/bus/usb-serial/devices")
 ) -> None:
-    """Refuse an FTDI adapter that holds bytes back for longer than 1 ms."""
+    """Refuse an FTDI adapter with a latency timer above 1 ms."""
     timer = devices / Path(port).resolve().name / "latency_timer"
     if timer.exists() and int(timer.read_text()) > 1:
         raise HardwareError(

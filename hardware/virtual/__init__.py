@@ -1,4 +1,4 @@
-"""A virtual lab: an arm, a string and a camera that can surprise the model.
+"""A virtual lab: arm, string and camera, with effects that the model may lack.
 
 No stage imports it.
 """
@@ -43,8 +43,7 @@ def open_lab(
 ) -> Lab:
     """Open the virtual arm and camera of one trial.
 
-    The seed and the trial's number seed all random events. The scene is that of
-    `VirtualBench`.
+    Seed and trial number determine all random events; see `VirtualBench`.
     """
     bench = VirtualBench(arm, camera, specimen, seed, servo, look, obstacles, trial)
     return Lab(VirtualArm(bench), VirtualCamera(bench))

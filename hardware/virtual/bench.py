@@ -1,7 +1,7 @@
-"""The virtual bench: arm and camera of one scene, on a clock that does not wait.
+"""The virtual bench: arm and camera of one scene, simulated without waiting.
 
-Arm and camera share the performed motion: `perform` moves the joints and, with them, a
-string that differs from the model's in points, integrator and step; `stop` films it.
+`perform` moves the joints and, with them, a string with other points, integrator and
+step than the model; `stop` films it.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
-EXPOSURE_MOMENTS = 5  # moments drawn in one exposure
-# Lengths to which segments may be compressed, in rest lengths, tried in this order.
+EXPOSURE_MOMENTS = 5  # moments rendered in one exposure
+# smallest segment length in rest lengths for the stable step, tried in this order
 SHORTEST_SEGMENTS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.18)
 
 
@@ -50,8 +50,8 @@ class Specimen:
     points
         Mass points of the simulation.
     hidden
-        Further effects, on the string, in the hand, the camera or their clocks, by
-        name, each with its parameters.
+        Further effects on string, hand, camera or clocks, by name, each with its
+        parameters.
     """
 
     length: Annotated[float, Field(gt=0, le=100.0)]
@@ -107,7 +107,7 @@ class VirtualBench:
     look
         The appearance of the scene.
     obstacles
-        Boxes off which the string bounces.
+        Boxes that the string can hit.
     pose : (J,)
         Joint angles before the motion [rad].
     performed_motion
@@ -145,8 +145,8 @@ class VirtualBench:
     def string_at(self, times: np.ndarray) -> np.ndarray:
         """Simulate the true string at times (F,) [s], (F, n, 2) [m].
 
-        The step is stable for segments of rest length at first. Where it diverges, as
-        yielding strings are compressed, it is made stable for shorter segments.
+        The step is first stable for segments of rest length. If a compressed string
+        diverges, the step is made stable for shorter segments.
         """
         motion = self._commanded_motion(0.001)
         model, values = self.model, self.values
@@ -173,7 +173,7 @@ class VirtualBench:
     def camera_view(
         self, true: Callable[[np.ndarray], np.ndarray], times: np.ndarray
     ) -> np.ndarray:
-        """Compute points as the camera reports them at its own times.
+        """Compute points as reported by the camera at times of its clock.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ def _interpolate_angles(
 
 @dataclass
 class VirtualArm:
-    """The bench's arm, which fills the role `ArmDevice`."""
+    """The bench's arm; implements `ArmDevice`."""
 
     bench: VirtualBench
 
@@ -211,7 +211,7 @@ class VirtualArm:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Do nothing: no device moves on its own."""
+        """Do nothing: no device has to be stopped."""
 
     def angles(self) -> np.ndarray:
         """Return the angles after the last movement, (J,) [rad]; zero at first."""
@@ -220,7 +220,7 @@ class VirtualArm:
         return self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:
-        """Accept every motion: nothing can break."""
+        """Accept every motion."""
 
     def move_to(self, angles: Sequence[float]) -> None:
         """Move to angles (J,) [rad], with the string at rest."""
@@ -241,7 +241,7 @@ class VirtualArm:
         reported = _interpolate_angles(t, fine, angles)
         encoders = bench.servo.encoder_reading(reported)
         measured = dict(zip(JOINTS, encoders.T, strict=True))
-        # tables as of a good link: commands late by tens of microseconds
+        # tables of a good link: commands late by tens of microseconds
         late = np.abs(bench.random_generator(2).normal(0, 4e-5, len(t)))
         ticks = {
             "tick": np.arange(len(t)),
@@ -265,7 +265,7 @@ class VirtualArm:
 
 @dataclass
 class VirtualCamera:
-    """The bench's camera, which fills the role `CameraDevice`."""
+    """The bench's camera; implements `CameraDevice`."""
 
     bench: VirtualBench
 
@@ -280,9 +280,9 @@ class VirtualCamera:
         """Do nothing: `stop` films the whole motion."""
 
     def stop(self, moved_at: float) -> Recording:
-        """Film what was performed.
+        """Film the performed motion.
 
-        The bench's clock is the movement's, so that `moved_at` is not used.
+        `moved_at` is not used, as the bench uses the movement's clock.
         """
         bench, camera = self.bench, self.bench.camera
         if bench.performed_motion is None:

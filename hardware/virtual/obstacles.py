@@ -1,4 +1,4 @@
-"""Obstacles of the lab: boxes off which the string bounces."""
+"""Obstacles of the lab: boxes that the string can hit."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Obstacles:
     boxes
         The boxes.
     stiffness
-        Push over the string's mass per depth [1/s^2]; at 4e6 a point at 6 m/s goes 3 mm
-        deep.
+        Contact force over the string's mass per depth [1/s^2]; at 4e6 a point at 6 m/s
+        penetrates 3 mm.
     friction
         Coefficient of friction.
     loss
-        Fraction of the push lost per speed of impact [s/m].
+        Relative loss of contact force per impact speed [s/m].
     """
 
     boxes: tuple[Box, ...] = ()

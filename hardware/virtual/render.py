@@ -18,9 +18,9 @@ from stringcast.stages.model.polyline import (
 
 cv2 = LazyModule("cv2")
 
-FRACTIONAL_BITS = 4  # of OpenCV's coordinates
+FRACTIONAL_BITS = 4  # of coordinates in OpenCV
 SUBPIXELS = 1 << FRACTIONAL_BITS
-PIECES_PER_PX = 3  # of a strip, in each direction
+PIECES_PER_PX = 3  # of a strip, per direction
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Look:
     background
         Mean brightness [grey levels].
     unevenness, texture
-        Its slow and its fine variation [grey levels].
+        Slow and fine variation of the background [grey levels].
     string, arm
         Brightness of string and arm [grey levels].
     string_width, arm_width
@@ -52,10 +52,7 @@ class Look:
 
 
 def render_background(camera: Camera, look: Look, seed: int) -> np.ndarray:
-    """Render the background without noise, (height, width) float32.
-
-    It has uneven light and a textured wall.
-    """
+    """Render the textured wall in uneven light, (height, width) float32."""
     rng = np.random.default_rng([seed, 1])
     size = (camera.width, camera.height)
     coarse = rng.normal(size=(4, 4)).astype(np.float32)
@@ -82,7 +79,7 @@ def render_frame(
     look
         The appearance of the scene.
     joints : (K, J + 1, 2)
-        The arm at K moments of the exposure, whose mean the shutter sees [m].
+        The arm at K moments of the exposure, which are averaged [m].
     strings : (K, n, 2)
         The string at these moments [m].
     wall : (height, width)
@@ -120,8 +117,7 @@ def _draw_lines(
 ) -> None:
     """Draw the mean of polylines (K, n, 2) [px] of a width [px] into a frame.
 
-    Only the part of the frame in which they lie is changed. `coverage` computes the
-    fraction of each pixel that one of them covers.
+    `coverage` computes the fraction of each pixel that a polyline covers.
     """
     margin = int(np.ceil(width)) + 2
     size = frame.shape[::-1]
@@ -156,16 +152,16 @@ def strip_coverage(
 ) -> np.ndarray:
     """Compute the fraction of each pixel that a strip covers.
 
-    The strip ends flat at the ends of its line. OpenCV's thin lines end 0.1 to 0.4 px
-    later, depending on their direction. The strip is cut into small pieces, each of
-    which counts as an upright rectangle.
+    The strip has flat ends; OpenCV's thin lines end 0.1 to 0.4 px later, depending on
+    their direction. The strip is cut into small pieces, approximated by upright
+    rectangles.
 
     Parameters
     ----------
     shape
         Height and width of the picture [px].
     pixels : (n, 2)
-        Middle of the strip [px].
+        Centre line of the strip [px].
     width
         Its width [px].
 
@@ -191,7 +187,7 @@ def strip_coverage(
     side = normal[drawn, None] + along * turn[:, None]
     piece = middle[:, :, None] + across[:, None] * side[:, :, None]  # (S, A, B, 2)
 
-    # the upright rectangle around a piece: its sides (S, 2) [px], and the piece's area
+    # upright rectangle of a piece: sides (S, 2) [px]; area of the piece
     size_along = length / count_along
     size_across = width / count_across
     direction = np.abs(segment) / np.maximum(length[:, None], 1e-9)
@@ -203,10 +199,10 @@ def strip_coverage(
 def _drawn_segments(
     shape: tuple[int, ...], pixels: np.ndarray, normal: np.ndarray
 ) -> np.ndarray:
-    """Choose the segments of a line (n, 2) [px] that may be in a picture, by number.
+    """Choose the segments of a line (n, 2) [px] that may be in a picture, by index.
 
-    In diverged simulations others are too long, far away, or no numbers. `normal` holds
-    the line's normals (n, 2).
+    Diverged simulations have segments that are too long, far away or not finite.
+    normal: normals of the line (n, 2).
     """
     reach = sum(shape)
     is_near = (np.abs(pixels) < 2 * reach).all(axis=1)
@@ -219,14 +215,14 @@ def _drawn_segments(
 def _rectangle_sums(
     shape: tuple[int, ...], middle: np.ndarray, sides: np.ndarray, areas: np.ndarray
 ) -> np.ndarray:
-    """Sum the areas that small upright rectangles have in each pixel of a picture.
+    """Sum the areas of small upright rectangles in each pixel of a picture.
 
     middle: (S, A, B, 2) [px]. sides: (S, 2), at most a pixel. areas: (S,) [px^2].
     """
     sides = sides[:, None, None]
-    first = middle + 0.5 - sides / 2  # from the first edge of the picture
+    first = middle + 0.5 - sides / 2  # from the edge of the picture
     pixel = np.floor(first).astype(int)
-    # the share of a rectangle that is in the next column and row
+    # share of a rectangle in the next column and row
     beyond = np.clip((first + sides - pixel - 1) / np.maximum(sides, 1e-9), 0, 1)
     shares = (1 - beyond, beyond)
     height, width = shape

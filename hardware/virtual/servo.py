@@ -1,4 +1,4 @@
-"""The velocity loop of an arm, whose joints follow commands late and inexactly."""
+"""The velocity loop of an arm, with delay and errors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ class VirtualServo:
     Attributes
     ----------
     bandwidth
-        Frequency at which the loop's gain has fallen by 3 dB [Hz].
+        -3 dB frequency of the loop [Hz].
     resolution
         One count of the encoder [rad].
     repeatability
-        Relative error of the speed from one performance to the next, one sigma.
+        Relative error of the speed between performances, one sigma.
     step
         Time step of the simulation [s].
     """
@@ -31,7 +31,7 @@ class VirtualServo:
     def follow_commands(
         self, t: np.ndarray, speeds: np.ndarray, rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Simulate the joints under commands held from tick to tick.
+        """Simulate the joints under commands that are held for a tick.
 
         Parameters
         ----------
@@ -50,7 +50,7 @@ class VirtualServo:
             Angles turned since the start [rad].
         """
         times = np.arange(t[0], t[-1] + self.step / 2, self.step)
-        # a command acts from its very tick on, whatever the rounding
+        # robust to rounding: a command acts from its tick on
         command = np.searchsorted(t, times + 1e-9, side="right") - 1
         held = speeds[np.clip(command, 0, len(t) - 1)]  # (K, J)
         error = self.repeatability * rng.standard_normal(speeds.shape[1])
@@ -63,19 +63,19 @@ class VirtualServo:
     def _low_pass(self, signal: np.ndarray) -> np.ndarray:
         """Filter a signal (K, J) by one of the loop's two equal poles.
 
-        The loop is 1 / (s / p + 1)^2, whose gain has fallen by 3 dB at the angular
-        frequency p sqrt(sqrt(2) - 1). In steps h, each pole a = exp(-p h) gives
+        The loop is 1 / (s / p + 1)^2, with -3 dB at the angular frequency p
+        sqrt(sqrt(2) - 1). In steps h, each pole a = exp(-p h) gives
 
             y_k = (1 - a) x_k + a y_{k-1}.
         """
         corner = 2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)  # p [rad/s]
         pole = np.exp(-corner * self.step)
         filtered: np.ndarray = (1 - pole) * signal
-        # in Python, as SciPy's filter takes half a second to load
+        # in Python, as loading SciPy's filter takes half a second
         for k in range(1, len(filtered)):
             filtered[k] += pole * filtered[k - 1]
         return filtered
 
     def encoder_reading(self, angles: np.ndarray) -> np.ndarray:
-        """Round angles of any shape [rad] to whole counts of the encoder."""
+        """Round angles [rad] to whole counts of the encoder."""
         return np.round(angles / self.resolution) * self.resolution

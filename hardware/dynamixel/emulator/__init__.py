@@ -1,1 +1,1 @@
-"""A bus of emulated servos on a pseudo-terminal for the maker's own library."""
+"""Emulated servos on a pseudo-terminal, for use with the maker's library."""

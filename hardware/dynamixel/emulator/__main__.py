@@ -1,7 +1,7 @@
-"""Serve three emulated servos on a pseudo-terminal, whose name is printed first.
+"""Serve three emulated servos on a pseudo-terminal, and print its name.
 
-It is called as `python -m stringcast.hardware.dynamixel.emulator` and ends with the
-process that started it.
+Usage: `python -m stringcast.hardware.dynamixel.emulator`. It ends with its parent
+process.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from stringcast.hardware.dynamixel.emulator.bus import (
 )
 from stringcast.hardware.emulated.terminal import command_parser, serve
 
-UNPLUGGED_S = 1.0  # [s] for which unplugged servos go on
+UNPLUGGED_S = 1.0  # [s] that unplugged servos run on
 
 
 def main() -> None:
-    """Serve the bus until --until seconds are over."""
+    """Serve the bus for --until seconds."""
     options = command_parser(
         "python -m stringcast.hardware.dynamixel.emulator", __doc__, FAULTS
     ).parse_args()

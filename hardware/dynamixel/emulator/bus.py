@@ -39,16 +39,16 @@ from stringcast.hardware.emulated.terminal import EmulatedDevice, UnpluggedError
 
 MODEL_REPLY = bytes([0xFC, 0x03, 0x2D])  # XM430-W350, firmware 45
 NO_ERROR, UNKNOWN, RANGE, LIMIT, ACCESS = 0, 2, 4, 6, 7  # of status packets
-GOAL_ADDRESSES = (100, 120)  # addresses that a tripped watchdog makes read-only
-FIRST_UNLOCKED_ADDRESS = 64  # addresses below are locked while the torque is on
+GOAL_ADDRESSES = (100, 120)  # read-only while the watchdog is tripped
+FIRST_UNLOCKED_ADDRESS = 64  # lower addresses are locked while torque is on
 
 
 @dataclass
 class EmulatedServo:
     """The registers and the joint of an emulated servo.
 
-    table: its control table. silence: time since the last packet on the bus [s]. speed:
-    velocity that the joint follows [rad/s].
+    table: control table. silence: time since the last packet on the bus [s]. speed:
+    velocity command of the joint [rad/s].
     """
 
     table: bytearray = field(default_factory=lambda: bytearray(147))
@@ -57,7 +57,7 @@ class EmulatedServo:
     speed: float = 0.0
 
     def __post_init__(self) -> None:
-        """Set the factory's values, with a velocity limit of 60 rad/s."""
+        """Set factory values, with a velocity limit of 60 rad/s."""
         self.set(OPERATING_MODE, 3)
         self.set(VELOCITY_LIMIT, round(60 / VELOCITY_UNIT))
         self.set(PRESENT_POSITION, 2048)
@@ -68,12 +68,12 @@ class EmulatedServo:
         return int.from_bytes(data, "little", signed=register.size == 4)
 
     def set(self, register: Register, value: int) -> None:
-        """Write a register, even one that a host may not write."""
+        """Write a register without the restrictions for hosts."""
         data = value.to_bytes(register.size, "little", signed=value < 0)
         self.table[register.address : register.address + register.size] = data
 
     def write(self, address: int, data: bytes) -> int:
-        """Write as an instruction does; return the error of the status packet."""
+        """Write as a host; return the error of the status packet."""
         if self.get(TORQUE_ENABLE) and address < FIRST_UNLOCKED_ADDRESS:
             return ACCESS
         if (
@@ -89,16 +89,16 @@ class EmulatedServo:
         return NO_ERROR
 
     def step(self, clock: float) -> None:
-        """Let one step of time pass; the clock is the servo's own [s]."""
+        """Simulate one step; `clock` is the servo's clock [s]."""
         self.silence += STEP_S
         watchdog = self.get(BUS_WATCHDOG)
-        # 0 is off, and TRIPPED is beyond what can be set
+        # 0: off; TRIPPED exceeds all valid settings
         has_torque = self.get(TORQUE_ENABLE)
         is_late = self.silence > watchdog * WATCHDOG_UNIT_S
         if has_torque and 0 < watchdog < 128 and is_late:
             self.set(BUS_WATCHDOG, WATCHDOG_TRIPPED)
             self.set(GOAL_VELOCITY, 0)
-        # an acceleration of zero is no limit
+        # zero acceleration means no limit
         limit = self.get(PROFILE_ACCELERATION) * ACCELERATION_UNIT * STEP_S or math.inf
         change = self.get(GOAL_VELOCITY) * VELOCITY_UNIT - self.speed
         self.speed += min(max(change, -limit), limit)
@@ -112,14 +112,14 @@ class EmulatedServo:
 
 @dataclass
 class EmulatedBus(EmulatedDevice):
-    """A bus of servos by id; a goal velocity written to all is one command."""
+    """A bus of servos by id; a sync write of velocities counts as one command."""
 
     servos: Mapping[int, EmulatedServo]
     splitter: PacketSplitter = field(default_factory=PacketSplitter)
     incoming: list[Packet] = field(default_factory=list)
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the host; raise UnpluggedError on that fault."""
+        """Receive bytes from the host; raise UnpluggedError on that fault."""
         for packet in self.splitter.packets(data):
             is_write = packet.instruction == SYNC_WRITE
             is_velocity = is_write and packet.parameters[0] == GOAL_VELOCITY.address
@@ -129,7 +129,7 @@ class EmulatedBus(EmulatedDevice):
                 self.incoming.append(packet)
 
     def step(self) -> bytes:
-        """Let one step pass; return the status packets that leave in it."""
+        """Simulate one step; return the status packets sent in it."""
         for servo in self.servos.values():
             servo.step(self.clock)
         if self.clock < self.deaf_until:
@@ -140,7 +140,7 @@ class EmulatedBus(EmulatedDevice):
 
     @property
     def state(self) -> tuple[str, bool]:
-        """The state of the watchdogs in a word, and whether the arm stands."""
+        """The state of the watchdogs, and whether the arm is at rest."""
         word, stands = "cleared", True
         for servo in self.servos.values():
             if servo.get(BUS_WATCHDOG) == WATCHDOG_TRIPPED:
@@ -150,7 +150,7 @@ class EmulatedBus(EmulatedDevice):
 
     @property
     def facts(self) -> dict[str, list[float]]:
-        """The angles of the joints [rad], and whether the torque is on."""
+        """Joint angles [rad], and whether the torque is on."""
         servos = self.servos.values()
         return {
             "angles": [servo.joint.angle for servo in servos],
@@ -158,7 +158,7 @@ class EmulatedBus(EmulatedDevice):
         }
 
     def _answer(self, packet: Packet) -> bytes:
-        """Answer an instruction; address and length begin most of them."""
+        """Answer an instruction; most begin with address and length."""
         for servo in self.servos.values():
             servo.silence = 0.0
         instruction, parameters = packet.instruction, packet.parameters
@@ -181,14 +181,14 @@ class EmulatedBus(EmulatedDevice):
         return status_packet(packet.id, UNKNOWN)
 
     def _write_servos(self, start: int, size: int, content: bytes) -> None:
-        """Write to several servos: for each its number, then `size` bytes."""
+        """Write to several servos; content: id and `size` bytes for each."""
         for place in range(0, len(content), 1 + size):
             number, data = content[place], content[place + 1 : place + 1 + size]
             if number in self.servos:
                 self.servos[number].write(start, data)
 
     def _read_servos(self, block: slice, numbers: bytes) -> bytes:
-        """Return the status packets of several servos with a block of registers."""
+        """Return status packets of several servos with a block of registers."""
         answer = b""
         for number in numbers:
             if number in self.servos:
@@ -208,7 +208,7 @@ def _unplug(bus: EmulatedBus) -> bool:
 
 def _brownout(bus: EmulatedBus) -> bool:
     for servo in bus.servos.values():
-        # what outlasts the power
+        # registers that survive power-off
         stored = servo.table[:FIRST_UNLOCKED_ADDRESS]
         servo.table = EmulatedServo().table
         servo.table[:FIRST_UNLOCKED_ADDRESS] = stored

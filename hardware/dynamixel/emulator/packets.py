@@ -15,7 +15,7 @@ PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE = 0x01, 0x02, 0x03, 0x55, 0x82,
 
 
 class Packet(NamedTuple):
-    """An instruction to a servo, or to all."""
+    """An instruction to one servo or to all."""
 
     id: int
     instruction: int
@@ -33,7 +33,7 @@ def crc16(data: bytes) -> int:
 
 
 def status_packet(identity: int, error: int, parameters: bytes = b"") -> bytes:
-    """Encode the status packet of a servo, with its error and its data."""
+    """Encode the status packet of a servo."""
     content = bytes([STATUS, error]) + parameters
     content = content.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
     length = (len(content) + 2).to_bytes(2, "little")
@@ -43,17 +43,17 @@ def status_packet(identity: int, error: int, parameters: bytes = b"") -> bytes:
 
 @dataclass
 class PacketSplitter:
-    """A splitter of a stream of bytes into packets, which drops damaged ones."""
+    """A splitter of a byte stream into packets; drops damaged ones."""
 
     rest: bytes = b""
 
     def packets(self, data: bytes) -> list[Packet]:
-        """Add data and return the packets whose last byte has come."""
+        """Add data and return the completed packets."""
         self.rest += data
         packets = []
         while (start := self.rest.find(HEADER)) >= 0:
             self.rest = self.rest[start:]
-            # header, identity and length, which counts all after it
+            # header, identity and length of the rest
             end = 7 + int.from_bytes(self.rest[5:7], "little")
             if len(self.rest) < 7 or len(self.rest) < end:
                 break

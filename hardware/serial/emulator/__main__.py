@@ -1,7 +1,6 @@
-"""Serve an emulated device on a pseudo-terminal, whose name is printed first.
+"""Serve an emulated device on a pseudo-terminal, and print its name.
 
-It is called as `python -m stringcast.hardware.serial.emulator` and ends with the
-process that started it.
+Usage: `python -m stringcast.hardware.serial.emulator`. It ends with its parent process.
 """
 
 from __future__ import annotations
@@ -10,13 +9,13 @@ from stringcast.hardware.emulated.terminal import command_parser, serve
 from stringcast.hardware.serial.emulator.device import FAULT_KINDS, EmulatedArm
 from stringcast.hardware.serial.firmware import Firmware
 
-UNPLUGGED_S = 0.5  # [s] for which an unplugged device goes on
+UNPLUGGED_S = 0.5  # [s] that an unplugged device runs on
 
 
 def main() -> None:
-    """Serve the device until --until seconds are over.
+    """Serve the device for --until seconds.
 
-    An unplugged device goes on alone until its arm stands.
+    An unplugged device runs on until its arm is at rest.
     """
     parser = command_parser(
         "python -m stringcast.hardware.serial.emulator", __doc__, FAULT_KINDS

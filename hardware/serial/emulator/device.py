@@ -1,4 +1,4 @@
-"""The emulated device: firmware, joints and line on one clock."""
+"""The emulated device: firmware, joints and line with one clock."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from stringcast.hardware.serial.protocol import (
 )
 
 DELAY_S = 0.03  # [s] of a delayed frame: several ticks
-REORDER_DELAY_S = 0.0075  # [s] after which the next frame, a tick behind, has arrived
-# [s] for which a frozen device reads nothing; its watchdog's timer goes on
+REORDER_DELAY_S = 0.0075  # [s]: the next frame, a tick later, arrives first
+# [s] that a frozen device does not read; its watchdog timer runs on
 FREEZE_S = 0.2
-BOOT_S = 0.05  # [s] that a device needs once its supply is back
-ANSWER_PREFIX = "answer-"  # of faults on the way back
+BOOT_S = 0.05  # [s] of a restart after a power failure
+ANSWER_PREFIX = "answer-"  # faults of answers
 
 
-# delays [s] and bytes of what arrives of a frame
+# delays [s] and bytes that arrive for a frame
 DelayedPieces = list[tuple[float, bytes]]
 
 
@@ -41,12 +41,12 @@ LINE_FAULTS: dict[str, Callable[[bytes], DelayedPieces]] = {
     "duplicate": lambda frame: [(0.0, frame), (0.0, frame)],
     "corrupt": _flip_bit,
     "delay": lambda frame: [(DELAY_S, frame)],
-    "reorder": lambda frame: [(REORDER_DELAY_S, frame)],  # the next one overtakes it
+    "reorder": lambda frame: [(REORDER_DELAY_S, frame)],  # overtaken by the next frame
 }
 
 
 class Arrival(NamedTuple):
-    """Bytes on their way: when they arrive [s], and their or their answer's fault."""
+    """Bytes in transit: arrival time [s], and the fault of them or of their answer."""
 
     when: float
     frame: bytes
@@ -57,8 +57,8 @@ class Arrival(NamedTuple):
 class EmulatedArm(EmulatedDevice):
     """The emulated device with its arm.
 
-    firmware: what it runs. initial_clock: its clock when it starts [us]. boot_time:
-    when it last started [s].
+    initial_clock: device clock at the start [us]. boot_time: time of the last start
+    [s].
     """
 
     firmware: Firmware
@@ -77,7 +77,7 @@ class EmulatedArm(EmulatedDevice):
         return (self.initial_clock + round((self.clock - self.boot_time) * 1e6)) % 2**32
 
     def receive(self, data: bytes) -> None:
-        """Take bytes from the host, on their way from now on.
+        """Receive bytes from the host, sent now.
 
         Raises UnpluggedError on that fault.
         """
@@ -87,14 +87,14 @@ class EmulatedArm(EmulatedDevice):
             except FrameError:
                 moves = False
             fault = self.next_fault() if moves else ""
-            if fault in DEVICE_FAULTS:  # these strike at once
+            if fault in DEVICE_FAULTS:  # these act at once
                 DEVICE_FAULTS[fault](self)
             self.incoming += self._schedule(frame, fault, fault)
 
     def step(self) -> bytes:
-        """Let one step pass and obey the frames that arrive in it.
+        """Simulate one step and process the frames that arrive in it.
 
-        Returns the bytes that are due to leave.
+        Returns the bytes to send.
         """
         self.firmware.tick(self.micros)
         for joint, speed in zip(self.joints, self.firmware.target, strict=True):
@@ -110,22 +110,22 @@ class EmulatedArm(EmulatedDevice):
 
     @property
     def state(self) -> tuple[str, bool]:
-        """The firmware's state, and whether the arm stands."""
+        """The firmware's state, and whether the arm is at rest."""
         stands = all(joint.is_still for joint in self.joints)
         return self.firmware.state.name.lower(), stands
 
     @property
     def facts(self) -> dict[str, list[float]]:
-        """The angles [rad] and speeds [rad/s] of the joints."""
+        """Angles [rad] and speeds [rad/s] of the joints."""
         return {
             "angles": [joint.angle for joint in self.joints],
             "speeds": [joint.speed for joint in self.joints],
         }
 
     def restart(self) -> None:
-        """Restart after a breakdown of the supply.
+        """Restart after a power failure.
 
-        All states are lost; the joints stay where they are.
+        All states are lost; the joints keep their angles.
         """
         self.firmware = Firmware(self.firmware.watchdog)
         self.incoming, self.outgoing = [], []
@@ -133,7 +133,7 @@ class EmulatedArm(EmulatedDevice):
         self.deaf_until = self.clock + BOOT_S
 
     def _schedule(self, frame: bytes, fault: str, line_fault: str) -> list[Arrival]:
-        """Send a frame on its way, through the line's fault if there is one."""
+        """Schedule the arrival of a frame, with the line's fault if any."""
         pieces: DelayedPieces = [(0.0, frame)]
         if line_fault in LINE_FAULTS:
             pieces = LINE_FAULTS[line_fault](frame)
