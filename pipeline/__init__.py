@@ -1,6 +1,6 @@
-"""The shell: configuration, folders, seeds, progress and resuming of runs.
+"""Runs: configuration, folders, seeds, progress and resuming.
 
-Nothing outside it knows Hydra.
+Only this package uses Hydra.
 """
 
 import os

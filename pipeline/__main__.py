@@ -1,7 +1,7 @@
 """`python -m pipeline`: start a run, a command or the help.
 
-Errors are printed without tracebacks. Modules that take seconds to import are imported
-only where a run or a command needs them.
+Errors are printed without tracebacks. Modules that import slowly are imported only when
+needed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ OmegaConf.register_new_resolver(
     "unique", lambda *_: uuid.uuid4().hex[:6], use_cache=True
 )
 PLUGINS_WORD = "plugins="
-NO_ANSWER_STATUS = 2  # exit status of a command that found no answer
+NO_ANSWER_STATUS = 2  # exit status of a command without an answer
 
 
 @hydra.main(
@@ -54,10 +54,7 @@ def main(config: DictConfig) -> float | None:
 
 
 def limit_blas_threads() -> None:
-    """Keep the BLAS libraries that are loaded to one thread.
-
-    Their sums depend on the number of threads. It costs no time: slow code is our own.
-    """
+    """Limit loaded BLAS libraries to one thread, as their sums depend on the number."""
     threadpool_limits(1, "blas")
 
 
@@ -75,12 +72,12 @@ def run_command(name: str, arguments: list[str]) -> int:
 
 
 def exit_with_error(message: str) -> NoReturn:
-    """Exit with a message in which commands are written as this program was called."""
+    """Exit with a message; its commands start as this program was called."""
     sys.exit(f"Error: {with_program_name(escape_control_characters(message))}")
 
 
 def start(words: list[str]) -> None:
-    """Start the run, the command or the help that the command line asks for."""
+    """Start the run, the command or the help of a command line."""
     if words == ["--version"]:
         print(f"stringcast {version('stringcast')}")
         return
@@ -101,10 +98,10 @@ def start(words: list[str]) -> None:
 
 
 def cli() -> None:
-    """Start what the command line asks for, and explain errors in one message."""
-    # OpenCV's warnings are replaced by a message of ours.
+    """Start the command line, and explain errors in one message."""
+    # Our messages replace OpenCV's warnings.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
-    # Hydra raises its errors instead of printing them with a traceback.
+    # Hydra raises errors instead of printing tracebacks.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     repeat_ignored_interrupts()
     log.log_warnings()

@@ -52,7 +52,7 @@ MODULES_OF_NAMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used, which takes seconds."""
+    """Import a public name on first use, as imports take seconds."""
     for module, names in MODULES_OF_NAMES.items():
         if name in names:
             return getattr(import_module(f"stringcast.{module}"), name)

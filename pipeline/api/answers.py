@@ -39,7 +39,7 @@ from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.workers import use_workers
 
-# few enough for a terminal of 80 columns
+# fits into 80 columns
 CAUSE_COLUMNS = [
     *("effect", "probability", "parameter", "value", "low", "high", "unit"),
 ]
@@ -79,7 +79,7 @@ class DiagnosisResult:
     def causes(self) -> pd.DataFrame:
         """A row for each parameter of each cause, with value, 95 % interval and unit.
 
-        `high` is infinite where only the lower end is known. `document` says more.
+        `high` is infinite if only the lower end is known. `document` holds more.
         """
         table = self.artifact.causes
         high = table["high"].where(~table["at_least"].astype(bool), np.inf)
@@ -89,7 +89,7 @@ class DiagnosisResult:
     def budget(self) -> pd.DataFrame:
         """The misfit at the tip by source, rms [m]; empty without a verdict on causes.
 
-        Sources are the causes, numerical error, noise, and what is unexplained.
+        Sources are the causes, numerical error, noise, and the unexplained rest.
         """
         return pd.DataFrame(self.document.get("budget", []))
 
@@ -106,7 +106,7 @@ class DiagnosisResult:
         )
 
     def plot(self) -> Figure:
-        """Draw the string where the base model fails most, and each trial's residual.
+        """Draw the frame with the largest misfit of the base model, and all residuals.
 
         Returns
         -------
@@ -177,7 +177,7 @@ class EstimateResult:
 
     @property
     def sentence(self) -> str:
-        """The parameters that the trials determine, and those that they do not."""
+        """The parameters that the trials determine, and the others."""
         return str(self.artifact.fit["sentence"].iloc[0])
 
     @property
@@ -187,7 +187,7 @@ class EstimateResult:
 
     @property
     def rms(self) -> float:
-        """The rms distance of measured and simulated points, in sample [m]."""
+        """The in-sample rms distance of measured and simulated points [m]."""
         return float(self.artifact.fit["rms_after"].iloc[0])
 
     @property
@@ -210,7 +210,7 @@ class EstimateResult:
         return parameter_figure(self.parameters)
 
     def __repr__(self) -> str:
-        """Return the residual and what is determined."""
+        """Return the residual and the determined parameters."""
         count, rms = len(self.parameters), f"{self.rms * MM_PER_M:.2f} mm rms"
         return f"EstimateResult({count} parameters, {rms}. {self.sentence})"
 
@@ -225,12 +225,12 @@ def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
     """Find the causes of the misfit between the simulation and trials.
 
     This takes a minute or more and shows its progress. Ctrl-C, or the stop button of a
-    notebook, ends it with what is known; the verdict is `insufficient` then.
+    notebook, ends it early with the verdict `insufficient`.
 
     Parameters
     ----------
     trials : Trials
-        Measured trials, two at least.
+        Measured trials, at least two.
     *settings : str
         Settings as on the command line, such as "string.points=15".
 
@@ -251,7 +251,7 @@ def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
     with (
         progress_bar("diagnose") as progress,
         stop_stage_on_interrupt(),
-        threadpool_limits(1, "blas"),  # as in a command
+        threadpool_limits(1, "blas"),  # as in commands
         workers,
     ):
         artifact = experiment.stages["diagnose"](
@@ -281,12 +281,12 @@ def estimate(
         Settings as on the command line, such as "effects=[tip_mass]" or
         "estimate=random_search".
     string : KnownString, optional
-        What is known of the string before.
+        Prior knowledge of the string.
 
     Returns
     -------
     EstimateResult
-        Parameters with intervals, and the string that they describe.
+        Parameters with intervals, and the string with them.
 
     Raises
     ------
@@ -314,12 +314,12 @@ def estimate(
 def prepare_trials(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
 ) -> tuple[Experiment, dataset.Dataset]:
-    """Compose the experiment, and keep the points that lie on its string.
+    """Compose the experiment, and drop points beyond its string.
 
     Raises
     ------
     StringcastError
-        If the data are certainly wrong.
+        If the data are clearly wrong.
     """
     experiment = experiment_for_call(settings, string, trials=str(trials.folder))
     length = experiment.string.length

@@ -74,8 +74,8 @@ def simulate(
     Parameters
     ----------
     string : KnownString or None
-        What is known of the string. Unknown parameters take their start values, which
-        are those of a soft string.
+        What is known of the string. Unknown parameters take the start values of a soft
+        string.
     motion : Motion or DataFrame
         A planned motion, or a table with t [s] and q1, q2, q3 [rad].
     *settings : str
@@ -120,12 +120,12 @@ def simulate(
 def cast(
     folder: str | Path, *settings: str, string: KnownString | None = None
 ) -> RunResult:
-    """Cast until the tip hits, as `python -m pipeline` does.
+    """Cast until the tip hits, like `python -m pipeline`.
 
     Parameters
     ----------
     folder : str or Path
-        Folder of the run. A run that is there already is continued.
+        Folder of the run. An existing run is continued.
     *settings : str
         Settings as on the command line, such as "+experiment=stringB" or
         "hardware=serial". The default is the virtual lab.
@@ -135,12 +135,12 @@ def cast(
     Returns
     -------
     RunResult
-        How the run ended, and its folder.
+        Outcome and folder of the run.
 
     Raises
     ------
     StringcastError
-        If a setting cannot be used, or the hardware refuses.
+        If a setting cannot be used, or the hardware fails.
     """
     experiment = experiment_for_call(settings, string)
     console = Terminal(stderr=True)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from stringcast.data.schema import DataError
 from stringcast.stages.common import MM_PER_M
 
-# colours of Okabe and Ito, which people with any colour vision can distinguish
+# colours of Okabe and Ito, safe for colour blindness
 MEASURED, BASE, EXTENDED = "#009e73", "#d55e00", "#0072b2"
 MODELS = {"base": BASE, "extended": EXTENDED}
 
@@ -27,7 +27,7 @@ class ShownFigure(Figure):
 
 
 def diagnosis_figure(residuals: pd.DataFrame, gain: pd.DataFrame) -> ShownFigure:
-    """Draw the string where the base model misses it most, and each trial's residual.
+    """Draw the frame with the largest misfit of the base model, and all residuals.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def diagnosis_figure(residuals: pd.DataFrame, gain: pd.DataFrame) -> ShownFigure
     Raises
     ------
     DataError
-        If nothing was diagnosed.
+        If there are no residuals.
     """
     if residuals.empty and gain.empty:
         raise DataError(
@@ -65,7 +65,7 @@ def diagnosis_figure(residuals: pd.DataFrame, gain: pd.DataFrame) -> ShownFigure
 
 
 def draw_largest_misfit(axes: Axes, residuals: pd.DataFrame) -> None:
-    """Draw the measured and the simulated string of the frame with most misfit."""
+    """Draw measured and simulated string in the frame with the largest misfit."""
     off = np.hypot(
         residuals["x"] - residuals["base_x"], residuals["y"] - residuals["base_y"]
     )
@@ -98,7 +98,7 @@ def parameter_figure(parameters: pd.DataFrame) -> ShownFigure:
         low, high = parameter.minimum, parameter.maximum
         ends = np.array([parameter.low, parameter.value, parameter.high], float)
         shares = np.clip((ends - low) / (high - low), 0, 1)
-        if low > 0:  # such ranges span powers of ten
+        if low > 0:  # positive ranges span powers of ten
             ends = np.clip(ends, low, high)
             shares = np.log(ends / low) / np.log(high / low)
         colour = EXTENDED if parameter.determined else "0.6"

@@ -37,13 +37,13 @@ from stringcast.stages.spec import EXTENDED
 
 @dataclass(frozen=True)
 class KnownString:
-    """The known settings of a string, as an extended.yaml holds them.
+    """The known settings of a string, as in extended.yaml.
 
     Parameters
     ----------
     settings : mapping, optional
-        The settings `string`, `effects` and `parameter_values`. Those that are missing
-        have the values in conf/.
+        The settings `string`, `effects` and `parameter_values`; missing ones are taken
+        from conf/.
     """
 
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -70,12 +70,12 @@ class KnownString:
 
     @classmethod
     def from_run(cls, folder: str | Path) -> KnownString:
-        """Load the string that a run ended with.
+        """Load the final string of a run.
 
         Parameters
         ----------
         folder : str or Path
-            The folder of the run. Its extended.yaml counts, or else its last estimate.
+            The folder of the run, with an extended.yaml or an estimate.
 
         Returns
         -------
@@ -109,7 +109,8 @@ class KnownString:
             )
         table = table[["value", "low", "high"]].astype(float)
         parameter_values: dict[str, Any] = table["value"].to_dict()
-        parameter_values |= table.dropna().to_dict("index")  # those with an interval
+        # parameters with an interval
+        parameter_values |= table.dropna().to_dict("index")
         return cls(
             {
                 "string": settings["string"],
@@ -119,12 +120,12 @@ class KnownString:
         )
 
     def save(self, folder: str | Path) -> Path:
-        """Write the extended.yaml that `model_from=<folder>` takes.
+        """Write extended.yaml for `model_from=<folder>`.
 
         Parameters
         ----------
         folder : str or Path
-            Made if it does not exist.
+            Folder to write to; made if it does not exist.
 
         Returns
         -------
@@ -155,7 +156,7 @@ class KnownString:
         mass : float
             Mass of the string [kg].
         step : float, optional
-            Time step of the simulation [s]; by default as long as the string allows.
+            Time step of the simulation [s]; by default the longest stable one.
 
         Returns
         -------
@@ -165,7 +166,7 @@ class KnownString:
         Raises
         ------
         StringcastError
-            If MuJoCo has no law for one of the effects.
+            If MuJoCo cannot represent an effect.
         """
         model = experiment_for_call((), self).model
         values = model.values({})
@@ -182,7 +183,7 @@ def experiment_for_call(
 ) -> Experiment:
     """Compose the experiment of a call.
 
-    Words as on the command line override the known string, which overrides conf/.
+    `words` override the known string, which overrides conf/.
     """
     try:
         name_plugins(words)
@@ -200,7 +201,7 @@ def experiment_for_call(
 
 
 def model_for_call(settings: Sequence[str], string: KnownString | None) -> Model:
-    """Compose the model of a call, or take that of the same call before.
+    """Compose the model of a call, with a cache.
 
     Composing settings takes twenty times as long as a simulation.
     """

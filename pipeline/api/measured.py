@@ -25,9 +25,9 @@ class Trials:
     Parameters
     ----------
     data : Dataset
-        The dataset as it was read.
+        The dataset.
     temporary_folder : TemporaryDirectory, optional
-        The folder of a dataset that was made of tables.
+        The folder of a dataset made from tables.
     """
 
     data: dataset.Dataset
@@ -74,7 +74,7 @@ class Trials:
         return f"Trials({len(self)} of {self.folder}{suffix})"
 
     def __str__(self) -> str:
-        """Return what is in the trials: string, points, rates and durations."""
+        """Return a description: string, points, rates and durations."""
         return f"{self.summary}\n\n{self.table.to_string(index=False, na_rep='')}"
 
     @property
@@ -118,7 +118,7 @@ def read(folder: str | Path) -> Trials:
 
 
 def sample() -> Trials:
-    """Read the five trials of a virtual lab that come with the package.
+    """Read the five trials of a virtual lab in the package.
 
     Returns
     -------
@@ -139,9 +139,9 @@ def trials(
     sigma: float | None = None,
     initial: Literal["rest", "moving"] = "rest",
 ) -> Trials:
-    """Make trials of tables.
+    """Make trials from tables.
 
-    A table may lack the column `trial` if there is one trial only.
+    With a single trial, the column `trial` is optional.
 
     Parameters
     ----------

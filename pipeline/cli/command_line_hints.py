@@ -1,4 +1,4 @@
-"""Answer frequent mistakes on the command line with the command that was meant."""
+"""Answer frequent mistakes on the command line with the intended command."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from stringcast.pipeline.settings.composition import (
     group_files,
 )
 
-# Replaced, where it is printed, by how the program was called.
+# replaced by the actual program call in messages
 CALL_WORDS = ["python", "-m", "pipeline"]
 FLAGS = ("-m", "--multirun", "-v", "-h", "--help")
-# options of Hydra with a value behind them, and those without
+# options of Hydra with a value, and without
 HYDRA_VALUE_FLAGS = (
     *("--cfg", "-c", "--package", "-p", "--info", "-i", "--experimental-rerun"),
     *("--config-path", "-cp", "--config-name", "-cn", "--config-dir", "-cd"),
@@ -33,21 +33,21 @@ HYDRA_FLAGS = (
     *("--hydra-help", "--version", "--resolve", "--run", "-r"),
     *("--shell-completion", "-sc"),
 )
-# those which take settings from another folder, which are not known here
+# options that take settings from another folder, which are not known here
 OTHER_FOLDER_FLAGS = ("--config-", "-cp", "-cn", "-cd", "hydra.searchpath")
 TASK_NAMES = ("test", "bench", "setup", "study", "docs", "package")
-EXAMPLE_RUN = ["+experiment=stringB", "method=adaptive"]  # what `tasks.py run` runs
-TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # which need stored trials
+EXAMPLE_RUN = ["+experiment=stringB", "method=adaptive"]  # as `tasks.py run`
+TRIAL_EXPERIMENTS = ("estimate", "diagnose", "decide")  # these need stored trials
 LENGTH_SETTING = re.compile(
     r"(string\.length|(?:target|arm\.base|obstacles)\.[\w.]+)=(-?[\d.]+)(mm|cm|m|)$"
 )
 METRES_PER_UNIT = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-# No string, target or arm is larger: such a number is in millimetres.
+# [m]: larger than any string, target or arm, so in millimetres
 MAX_LENGTH_M = 20.0
 
 
 class Answer(NamedTuple):
-    """The fault of a word, empty if there is none, and the words to give instead."""
+    """The fault of a word, empty without one, and its replacement."""
 
     fault: str
     suggested_words: list[str]
@@ -62,7 +62,7 @@ class Word:
     text : str
         The word.
     name, value : str
-        The text before and after the equals sign; all of it is `name` without one.
+        The text before and after the equals sign; without one, all of it is `name`.
     previous_word : str
         The word before it, empty for the first.
     following_words : sequence of str
@@ -77,7 +77,7 @@ class Word:
 
     @property
     def setting(self) -> str:
-        """Name of the setting without the plus sign that adds it."""
+        """Name of the setting without a leading plus sign."""
         return self.name.lstrip("+")
 
     @property
@@ -87,10 +87,9 @@ class Word:
 
 
 def join_quoted(words: Sequence[str]) -> list[str]:
-    """Join what stands between single quotes, and take the quotes away.
+    """Join words between single quotes, and remove the quotes.
 
-    They are quotes in every shell but cmd.exe of Windows, which hands them on and cuts
-    the words at blanks.
+    cmd.exe of Windows does not treat single quotes as quotes and splits at blanks.
     """
     joined: list[str] = []
     open_words: list[str] = []
@@ -111,7 +110,7 @@ def refuse_mistakes(words: Sequence[str]) -> None:
     if any(word.startswith(OTHER_FOLDER_FLAGS) for word in words):
         return
     if {"--shell-completion", "-sc", "--experimental-rerun"} & set(words):
-        return  # Hydra answers alone
+        return  # these only print
 
     answers = list(answer_words(words))
     faults = [answer.fault for answer in answers if answer.fault]
@@ -134,7 +133,7 @@ def refuse_mistakes(words: Sequence[str]) -> None:
 
 
 def answer_words(words: Sequence[str]) -> Iterator[Answer]:
-    """Yield the answer to each word, except to those that an earlier answer covers."""
+    """Yield the answer to each word that no earlier answer covers."""
     in_command = False
     for position, text in enumerate(words):
         name, _, value = text.partition("=")
@@ -142,7 +141,7 @@ def answer_words(words: Sequence[str]) -> Iterator[Answer]:
         word = Word(text, name, value, previous_word, words[position + 1 :])
         correct = Answer("", [text])
         of_hydra = previous_word in HYDRA_VALUE_FLAGS and not set(text) & set("=-")
-        # the words after a command are the command's own
+        # a command parses the words after it
         if in_command or of_hydra:
             yield correct
         elif not is_second_part(word):
@@ -152,9 +151,9 @@ def answer_words(words: Sequence[str]) -> Iterator[Answer]:
 
 
 def is_second_part(word: Word) -> bool:
-    """Return whether a word is the value of the one before it.
+    """Return whether a word is the value of the previous one.
 
-    Such as in `--experiment stringB`, `seed = 3` or `seed: 3`.
+    Examples: `--experiment stringB`, `seed = 3`, `seed: 3`.
     """
     if "=" in (word.text, word.previous_word):
         return True
@@ -165,14 +164,14 @@ def is_second_part(word: Word) -> bool:
 
 
 def possible_answers(word: Word) -> Iterator[Answer]:
-    """Yield answers to the mistakes that a word may be, the most likely first."""
+    """Yield possible answers to a word, the most likely first."""
     if word.text.startswith(("-", "~")):
         return check_option(word)
     return check_setting(word) if "=" in word.text else check_bare_word(word)
 
 
 def check_option(word: Word) -> Iterator[Answer]:
-    """Answer a word that begins with a dash, or with the tilde of a removal."""
+    """Answer a word that begins with a dash or a tilde."""
     if name := setting_given_as_option(word.text):
         kind = "an experiment" if name == "experiment" else "a setting"
         fault = f"{word.text}: {kind} has no dashes before it."
@@ -195,7 +194,7 @@ def check_setting(word: Word) -> Iterator[Answer]:
         x, y = to_metres(float(place[1])), to_metres(float(place[2]))
         fault = f"{word.text}: give each coordinate."
         yield Answer(fault, [f"target.x={x:g}", f"target.y={y:g}"])
-    # Not `Path.exists`, which raises an error for a list longer than a file name
+    # not `Path.exists`, which fails for words longer than a file name
     if re.search(r"[,()\[\]{}]", word.value) and os.path.exists(word.value):
         fault = f"{word.text}: a path with commas or brackets needs quotes of its own."
         yield Answer(fault, [f'{word.name}="{word.value}"'])
@@ -261,7 +260,7 @@ def check_choice(word: Word) -> Iterator[Answer]:
     is_several = re.search(r"[,()\[{$]", word.value)
     if not options or word.value in options or is_several:
         return
-    # an option may lie in a folder of the group
+    # an option may be in a subfolder of the group
     if (CONF_FOLDER / word.setting / word.value).with_suffix(".yaml").exists():
         return
     fault = f"{word.text}: there is no such option"
@@ -293,7 +292,7 @@ def check_choice_as_setting(word: Word) -> Iterator[Answer]:
 
 
 def check_setting_name(word: Word) -> Iterator[Answer]:
-    """Answer an unknown setting with the known one of the most similar first name."""
+    """Answer an unknown setting with the most similar known one."""
     if is_setting(word.setting):
         return
     first_name, dot, rest = word.setting.partition(".")
@@ -305,14 +304,14 @@ def check_setting_name(word: Word) -> Iterator[Answer]:
 
 
 def setting_given_as_option(word: str) -> str:
-    """Return the setting that is given like an option, as in `--seed`, or nothing."""
+    """Return the setting given like an option, as in `--seed`, or nothing."""
     name = word.removeprefix("--").partition("=")[0]
     is_option = word.startswith("--") and word not in FLAGS
     return name if is_option and is_setting(name) else ""
 
 
 def write_setting(name: str, value: str) -> str:
-    """Write a setting as it is given on the command line."""
+    """Write a setting as on the command line."""
     plus = "+" if name == "experiment" else ""
     return f"{plus}{name}={value}"
 
@@ -345,7 +344,7 @@ def group_names() -> tuple[str, ...]:
 
 @cache
 def top_level_settings() -> tuple[str, ...]:
-    """Return the first names of settings outside groups, also of an experiment."""
+    """Return the first names of settings outside groups, including experiments."""
     files = (CONF_FOLDER / "config.yaml", *(CONF_FOLDER / "experiment").glob("*.yaml"))
     text = "\n".join(file.read_text(encoding="utf-8") for file in files)
     names = re.findall(r"^(\w+):", text, re.M) + re.findall(r"- \w+@(\w+):", text)
@@ -353,7 +352,7 @@ def top_level_settings() -> tuple[str, ...]:
 
 
 def nearest_name(word: str, names: Sequence[str]) -> str:
-    """Return the most similar name, ignoring case; empty if none is similar."""
+    """Return the most similar name, ignoring case; empty without one."""
     by_lower_case = {name.lower(): name for name in names}
     near = difflib.get_close_matches(word.lower(), by_lower_case, 1)
     return by_lower_case[near[0]] if near else ""

@@ -1,4 +1,4 @@
-"""Progress bars while a run goes on, and a summary at its end."""
+"""Progress bars during a run, and a summary at its end."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from stringcast.pipeline.run.result import RunResult
 from stringcast.stages.common import Progress as ReportProgress
 
 ProgressBar = Callable[[str], AbstractContextManager[ReportProgress]]
-MAX_TITLE_CHARACTERS = 74  # a longer title of a panel would be cut in 80 columns
-MAX_LOG_CHARACTERS = 36  # that fit behind a bar in 80 columns
+MAX_TITLE_CHARACTERS = 74  # fits into a panel of 80 columns
+MAX_LOG_CHARACTERS = 36  # fits beside a bar in 80 columns
 CAST_COLUMNS = (
     "tip in the box",
     "closest [mm]",
@@ -37,8 +37,8 @@ CAST_COLUMNS = (
 def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
     """Show a bar for each step, followed by the last line of the log.
 
-    The context's value makes the bar of a step, by its name. The bar pulses until a
-    share is reported.
+    Yields a function that creates the bar of a named step. A bar pulses until progress
+    is reported.
     """
     name_column = TextColumn("{task.description:<14}", markup=False)
     log_column = TextColumn("{task.fields[log_line]}", markup=False)
@@ -64,7 +64,7 @@ def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
 
 
 def print_summary(result: RunResult, console: Terminal) -> None:
-    """Print how a run ended, faults of its casts, and the path of its page."""
+    """Print the outcome of a run, faults of its casts, and the path of its page."""
     if result.stage is None:
         console.print(cast_panel(result))
     else:
@@ -93,7 +93,7 @@ def print_summary(result: RunResult, console: Terminal) -> None:
 
 
 def cast_panel(result: RunResult) -> Panel:
-    """Return a panel with a row for each cast, and the determined parameters."""
+    """Return a panel with a row per cast, and the determined parameters."""
     outcome, _, details = result.sentence.partition(". ")
     fits_title = len(outcome) <= MAX_TITLE_CHARACTERS
     colour = "green" if result.has_hit else "yellow"
@@ -146,7 +146,7 @@ def cast_row(iteration: Iteration) -> list[str]:
 
 
 def determined_parameters(estimate: Estimate) -> pd.DataFrame:
-    """Return a table of the parameters that have a 95 % interval, as texts."""
+    """Return a table of texts for parameters with a 95 % interval."""
     rows = estimate.parameters
     rows = rows[rows["determined"] & rows["low"].notna()]
     if rows.empty:
@@ -162,7 +162,7 @@ def determined_parameters(estimate: Estimate) -> pd.DataFrame:
 
 
 def text_table(frame: pd.DataFrame, justify: JustifyMethod = "left") -> Table:
-    """Return a table for the terminal whose cells are shown as texts."""
+    """Return a table of texts for the terminal."""
     table = Table(box=None, pad_edge=False)
     for heading in frame.columns:
         table.add_column(escape(heading), justify=justify, overflow="fold")

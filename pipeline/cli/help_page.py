@@ -1,6 +1,6 @@
 """Page of `python -m pipeline --help`: example calls, commands and every setting.
 
-Hydra's own help takes a second, because it reads the options of all groups.
+Hydra's own help takes a second, as it reads the options of all groups.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ Settings of this call:
 
 
 def help_text(overrides: Sequence[str]) -> str:
-    """Return the help, with the settings as these overrides compose them."""
+    """Return the help with the settings composed from overrides."""
     settings = compose_settings(overrides)
     text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
     return with_program_name(HELP_TEMPLATE).format(
@@ -74,7 +74,7 @@ def help_text(overrides: Sequence[str]) -> str:
 
 
 def group_lines() -> list[str]:
-    """Return a line for each group of settings but Hydra's own, with its options."""
+    """Return a line with the options of each group, except Hydra's own."""
     names = set()
     for conf in conf_folders():
         for path in conf.rglob("*/"):

@@ -1,7 +1,6 @@
-"""The terminal: the program's name in messages, explanations and statuses of errors.
+"""The terminal: program name in messages, error explanations and statuses.
 
-Names from others are printed as text: an escape sequence in one could steer the
-terminal.
+Control characters in foreign names are escaped, as they act on the terminal.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ class Terminal(Console):
     """A console that escapes control characters in everything it shows."""
 
     def render(self, *given: Any, **options: Any) -> Iterator[Segment]:
-        """Render as rich does, with control characters in texts escaped."""
+        """Render like rich, with control characters in texts escaped."""
         for segment in super().render(*given, **options):
-            if segment.is_control:  # rich's own codes stay
+            if segment.is_control:  # keep rich's own codes
                 yield segment
             else:
                 yield Segment(escape_control_characters(segment.text), segment.style)
 
     def print_line(self, text: str) -> None:
-        """Print plain text that can be pasted, not wrapped at the terminal's width."""
+        """Print plain text without wrapping, so that it can be pasted."""
         self.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
 def program_name() -> str:
-    """Return how the program was called: `stringcast`, or Python with `-m pipeline`."""
+    """Return the program call: `stringcast`, or Python with `-m pipeline`."""
     if Path(sys.argv[0]).stem == "stringcast":
         return "stringcast"
     module = "pipeline" if (Path.cwd() / "pipeline").is_dir() else "stringcast"
@@ -53,13 +52,13 @@ def program_name() -> str:
 
 
 def python_path() -> Path:
-    """Return the running interpreter by the shortest path from here."""
+    """Return the shortest path to the running interpreter."""
     python, here = Path(sys.executable), Path.cwd()
     return python.relative_to(here) if python.is_relative_to(here) else python
 
 
 def with_program_name(text: str) -> str:
-    """Return a text whose commands are written as this program was called."""
+    """Return a text whose commands start as this program was called."""
     text = re.sub(r"(?<![\w/.])python -m pipeline", lambda _: program_name(), text)
     return re.sub(
         r"(?<!-m )pip install", lambda _: f"{python_path()} -m pip install", text
@@ -67,7 +66,7 @@ def with_program_name(text: str) -> str:
 
 
 def print_error(error: Exception, console: Terminal) -> None:
-    """Print an error's message, with commands as this program was called."""
+    """Print an error's message, with the actual program call in commands."""
     message = escape(with_program_name(str(error)))
     console.print(f"[bold red]Error:[/] {message}", highlight=False, soft_wrap=True)
 
@@ -79,7 +78,7 @@ def interrupt_status(error: KeyboardInterrupt) -> int:
 
 
 def explain_hydra_error(error: BaseException) -> str:
-    """Return Hydra's message in plain words, with the nearest setting there is."""
+    """Return Hydra's message in plain words, with the nearest known setting."""
     text = str(error).strip()
     first_line = text.splitlines()[0]
     arguments = sys.argv[1:]
@@ -116,7 +115,7 @@ def explain_hydra_error(error: BaseException) -> str:
 
 
 def explain_missing_quotes(word: str, arguments: list[str]) -> str:
-    """Say that a word such as name=Jörg or plugins=[~/x] needs quotes, and where."""
+    """Explain that a word such as name=Jörg or plugins=[~/x] needs quotes."""
     name, _, value = word.partition("=")
     quoted = f'"{value}"'
     if value.startswith("[") and value.endswith("]"):
@@ -128,7 +127,7 @@ def explain_missing_quotes(word: str, arguments: list[str]) -> str:
 
 
 def unknown_setting_remedy(name: str) -> str:
-    """Name the options that have an unknown setting, or else a similar setting."""
+    """Name the options with this setting, or else a similar setting."""
     # another option of the group may have it, as `estimate=random_search` has `beta`
     group, _, inner_name = name.partition(".")
     line = re.compile(rf"^{re.escape(inner_name)}:", re.M)

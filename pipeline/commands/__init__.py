@@ -33,10 +33,10 @@ COST_OPTION = "--max-core-hours "
 
 
 class CommandParser(argparse.ArgumentParser):
-    """Parser of a command's arguments that reports errors in one line."""
+    """Argument parser that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise UserError with what is wrong and how to see the help."""
+        """Raise UserError with the fault and the help command."""
         plain = message.removeprefix("the following ")
         plain = plain.replace("arguments are required", "it needs")
         command = self.prog.split()[-1]
@@ -44,7 +44,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def add_cost_option(parser: CommandParser) -> None:
-    """Add the limit above which a person is asked before steps are computed."""
+    """Add the cost limit above which a person is asked first."""
     parser.add_argument(
         COST_OPTION.strip(),
         type=float,
@@ -55,9 +55,9 @@ def add_cost_option(parser: CommandParser) -> None:
 
 
 def load_command(name: str) -> Callable[[list[str]], int]:
-    """Import a command, which takes the words after its name and returns the status.
+    """Import the main function of a command.
 
-    Some commands draw and take a second to import; runs and the help need none.
+    Some commands take a second to import; runs and the help need none.
     """
     command: Callable[[list[str]], int] = import_module(
         f"{__name__}.{module_name_of(name)}"
@@ -77,7 +77,7 @@ def command_list() -> str:
 
 
 def module_name_of(name: str) -> str:
-    """Return the name of a command's module, which must not be a Python keyword."""
+    """Return the module name of a command, avoiding Python keywords."""
     return f"{name}_" if iskeyword(name) else name
 
 

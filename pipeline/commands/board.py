@@ -15,9 +15,9 @@ from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.calibrate.board import Board
 
 INCH_M = 0.0254
-MARGIN_M = 0.008  # white border, which the outer markers and most printers need
+MARGIN_M = 0.008  # white border for the outer markers and most printers
 RULER_M = 0.1
-# pixels of a marker: a multiple of its 7 cells, the border included
+# pixels of a marker: a multiple of its 7 cells with border
 PIXELS_PER_MARKER = 7 * 4 * 4
 
 

@@ -49,9 +49,9 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_count
 
 USABLE, NOT_USABLE = 0, 1  # exit statuses
-SHORT_TRIAL_S = 2.0  # a diagnosis follows all motion of a string in it
+SHORT_TRIAL_S = 2.0  # up to this duration a diagnosis follows all motion of a string
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
-# the field in a message: a setting, a column, or a line of YAML
+# field in a message: setting, column or line of YAML
 FIELD_PATTERN = re.compile(
     r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)"
 )
@@ -69,7 +69,7 @@ NUMBER_HEADINGS = (
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print what is in a folder and return whether it is usable."""
+    """Print the content of a folder; return 0 if it is usable."""
     try:
         options = argument_parser().parse_intermixed_args(arguments)
         report: Path | None = options.report
@@ -131,7 +131,7 @@ def argument_parser() -> argparse.ArgumentParser:
 
 
 def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
-    """Return the data in a folder, with arm, camera and string as a run would have.
+    """Return the data in a folder, with arm, camera and string as in a run.
 
     overrides: settings as on the command line.
     """
@@ -143,10 +143,10 @@ def read_measurements(folder: Path, overrides: Sequence[str]) -> CheckedDataset:
 
 
 def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
-    """Return the overview of a dataset, with an error if its clocks are not together.
+    """Return the overview of a dataset, with an error for clocks with an offset.
 
-    The string model is fitted only if the dataset does not state the clocks' offset,
-    and if geometry leaves a large one.
+    The string model is fitted only if the dataset does not state the offset, and if
+    geometry allows a large one.
     """
     overview = dataset_overview(checked)
     notes = [asdict(found) for found in long_trial_notes(checked)]
@@ -167,7 +167,7 @@ def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
 
 
 def long_trial_notes(checked: CheckedDataset) -> list[Finding]:
-    """Return a note of trials in which a diagnosis does not follow fast misfit."""
+    """Return a note about trials in which a diagnosis does not follow fast misfit."""
     long_trials = []
     for trial in checked.trials:
         if len(trial.frame_t) > 1 and np.ptp(trial.frame_t) > SHORT_TRIAL_S:
@@ -192,7 +192,7 @@ def long_trial_notes(checked: CheckedDataset) -> list[Finding]:
 def settings_for_data(
     folder: Path, overrides: Sequence[str], *defaults: str
 ) -> dict[str, Any]:
-    """Return the settings of a run with these overrides on the data in a folder."""
+    """Return the settings of a run on the data in a folder."""
     settings = compose_settings([*defaults, *overrides]) | {"trials": str(folder)}
     return inherit_settings(OmegaConf.create(settings), given_names(overrides))
 
@@ -215,13 +215,13 @@ def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
 def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
     """Return the overview of data that cannot be read.
 
-    The message of every error is `file: field is so. Remedy.`
+    Messages of errors have the form `file: fault of field. Remedy.`
     """
     file, _, rest = message.partition(": ")
     end = len(rest)
     for stop in re.finditer(r"\. (?=[A-Z])", rest):
         before = rest[: stop.start()]
-        if before.count("(") == before.count(")"):  # not within brackets
+        if before.count("(") == before.count(")"):  # not inside brackets
             end = stop.start()
             break
     statement = rest[:end].removesuffix(".")
@@ -245,7 +245,7 @@ def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
 
 
 def report_wrong_options(error: UserError, arguments: Sequence[str]) -> int:
-    """Print options that cannot be understood, if as JSON; else raise their error."""
+    """Print an error in options as JSON if requested; otherwise raise it."""
     if "--json" not in arguments:
         raise error
     print(json.dumps(overview_of_wrong_options(error), indent=2))
@@ -253,7 +253,7 @@ def report_wrong_options(error: UserError, arguments: Sequence[str]) -> int:
 
 
 def overview_of_wrong_options(error: UserError) -> dict[str, Any]:
-    """Return the overview of options that cannot be understood."""
+    """Return the overview for an error in options."""
     overview = overview_of_unreadable(Path(), f": {error}")
     (finding,) = overview["findings"]
     option = OPTION_PATTERN.search(finding["statement"])
@@ -318,7 +318,7 @@ def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table with a row for each parameter that is an effect's size."""
+    """Return a table with a row for each size parameter of an effect."""
     table = Table(box=None, pad_edge=False)
     table.add_column("effect", overflow="fold")
     for heading in ("found from", "tip [mm]", "like the string"):

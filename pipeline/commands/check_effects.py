@@ -1,6 +1,6 @@
-"""`check --effects`: the size from which a diagnosis would find each effect.
+"""`check --effects`: the smallest detectable size of each effect.
 
-A module of its own, as it takes seconds to import.
+It is a separate module, as it takes seconds to import.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stringcast.stages.model.library import effects_by_name
 def detectable_effects(
     settings: Mapping[str, Any],
 ) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Return what a diagnosis of stored trials could find of each effect.
+    """Return the detection limits of a diagnosis of stored trials.
 
     A bar on the terminal shows the progress.
 
@@ -42,9 +42,9 @@ def detectable_effects(
     Returns
     -------
     limits : list of dict
-        JSON-able rows, one for each size of an effect.
+        JSON-able rows, one for each size parameter of an effect.
     not_tried : dict
-        Reasons by name of the other effects of the library.
+        Reasons why other effects were not tried, by name.
 
     Raises
     ------
@@ -89,9 +89,9 @@ def detectable_effects(
 
 
 def search_trials(experiment: Experiment) -> list[Observation]:
-    """Return the trials in which a diagnosis would seek causes.
+    """Return the trials in which a diagnosis would search causes.
 
-    Raises DataError if they are fewer than two.
+    Raises DataError for fewer than two.
     """
     data = read_usable_trials(experiment)
     held_out = held_out_trials(data)
@@ -109,7 +109,7 @@ def search_trials(experiment: Experiment) -> list[Observation]:
 
 
 def detection_row(limit: DetectionLimit) -> dict[str, Any]:
-    """Return a JSON-able row, with None where no value in the range is found."""
+    """Return a JSON-able row, with None if no value in the range is detectable."""
     parameter = limit.parameter
     return {
         "effect": limit.effect.name,
@@ -126,5 +126,5 @@ def detection_row(limit: DetectionLimit) -> dict[str, Any]:
 
 
 def none_if_nan(value: float) -> float | None:
-    """Return a number, or None for NaN, which JSON does not have."""
+    """Return a number, or None for NaN, which JSON lacks."""
     return None if isnan(value) else value

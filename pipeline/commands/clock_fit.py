@@ -1,6 +1,6 @@
 """The offset of two clocks, for the commands `import` and `check`.
 
-A module of its own, as it takes seconds to import.
+It is a separate module, as it takes seconds to import.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from stringcast.stages.clock.offset import (
 )
 from stringcast.stages.model.model import Model
 
-SEED = 0  # of the starts of fits
+SEED = 0  # of starting points of fits
 
 
 def estimate_offset(checked: CheckedDataset) -> ClockOffset:
@@ -43,14 +43,14 @@ def estimate_offset(checked: CheckedDataset) -> ClockOffset:
 
 
 def plain_model(checked: CheckedDataset) -> Model:
-    """Return the model of a diagnosis, with arm and camera of a dataset."""
+    """Return the base model of a diagnosis, with arm and camera of a dataset."""
     settings = compose_settings(["+experiment=diagnose"])
     block = {**settings["string"], "length": checked.length}
     return Model(build_string(block, "conf/string"), checked.arm, checked.camera)
 
 
 def wrong_clock_findings(checked: CheckedDataset) -> list[Finding]:
-    """Return an error if the motion shows that the clocks are not together.
+    """Return an error if the motion shows an offset of the clocks.
 
     A bar on the terminal shows the progress.
     """
@@ -65,10 +65,10 @@ def wrong_clock_findings(checked: CheckedDataset) -> list[Finding]:
 
 
 def apply_offset(imported: ImportedDataset, clock: ClockOffset) -> ImportedDataset:
-    """Return the dataset with both clocks together, the interval in its metadata."""
+    """Return the dataset with the offset applied, and its interval as metadata."""
     values = {name: interval.value for name, interval in clock.by_trial.items()}
     rough = imported.added_times
-    # a trial that shows no motion has the clocks of the others
+    # trials without motion get the offset of the others
     usual = float(np.median([*values.values()]))
     shifts = dict.fromkeys(rough, usual) | values
     added = {name: rough[name] + shifts[name] for name in rough}
@@ -85,7 +85,7 @@ def apply_offset(imported: ImportedDataset, clock: ClockOffset) -> ImportedDatas
 
 
 def clock_block(clock: ClockOffset, added: Mapping[str, float]) -> dict[str, Any]:
-    """Return the block `clock` of dataset.yaml, once the offset is added."""
+    """Return the block `clock` of dataset.yaml after the offset was added."""
     low = min(interval.low - interval.value for interval in clock.by_trial.values())
     high = max(interval.high - interval.value for interval in clock.by_trial.values())
     rounded = {name: round(value, 6) for name, value in added.items()}
@@ -98,7 +98,7 @@ def clock_block(clock: ClockOffset, added: Mapping[str, float]) -> dict[str, Any
 
 
 def describe_offset(clock: ClockOffset, added: Mapping[str, float]) -> list[str]:
-    """Say what is added to the camera's times, and how well it is known."""
+    """Describe the offset added to the camera's times, and its interval."""
     notes = []
     names = list(clock.by_trial)
     described = names[:1] if clock.is_common else names

@@ -40,10 +40,10 @@ from stringcast.stages.common import MM_PER_M
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.report.formatting import format_count
 
-# joints of an arm whose angles our format holds; other arms are stored as hand poses
+# joints of an arm in our format; other arms are stored as hand poses
 FORMAT_JOINTS = 3
-MIN_FRAMES = 5  # of a trial: fewer show no motion
-# stands for an arm where poses of the hand are given
+MIN_FRAMES = 5  # of a trial; fewer show no motion
+# placeholder of the arm if hand poses are given
 UNUSED_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 METADATA_HEADER = """\
 # Written by `import`. All is in metres, seconds, radians and kilograms.
@@ -53,7 +53,7 @@ METADATA_HEADER = """\
 
 @dataclass(frozen=True)
 class ImportedDataset:
-    """A dataset that is not written yet.
+    """A dataset before it is written.
 
     Attributes
     ----------
@@ -66,10 +66,10 @@ class ImportedDataset:
     metadata
         Content of dataset.yaml.
     notes
-        What was inferred, for people.
+        Inferred properties, for people.
     added_times
-        By trial, what the motion shows that is to be added to the times of points, and
-        was [s]; empty if they are as measured.
+        Offset that was added to the times of points, by trial [s]; empty if the times
+        are as measured.
     """
 
     hand_table: Table
@@ -82,7 +82,7 @@ class ImportedDataset:
 
     @property
     def trials_without_common_time(self) -> list[str]:
-        """Names of trials whose clocks of arm and camera hardly overlap."""
+        """Names of trials in which arm and camera have hardly any common time."""
         hand = self.hand_rows.groupby("trial")["t"].agg(["min", "max"])
         points = self.points.groupby("trial")["t"].agg(["min", "max"])
         names = []
@@ -95,9 +95,9 @@ class ImportedDataset:
 
 
 def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDataset:
-    """Return the dataset that recordings make.
+    """Convert recordings to a dataset.
 
-    Raises DataError if an option is needed, which the message names.
+    Raises DataError naming an option if it is needed.
     """
     notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
@@ -128,9 +128,9 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
 
 
 def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> ImportedTables:
-    """Return tables without the points of trials that were seen in a frame or two.
+    """Drop the points of trials with only a few frames.
 
-    Raises DataError if no other trial is left.
+    Raises DataError if no trial is left.
     """
     if tables.points.empty:
         return tables
@@ -152,7 +152,7 @@ def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> Importe
 
 
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
-    """Return the block `camera` of films; raise DataError if an option is missing."""
+    """Return the block `camera` for films; raise DataError for a missing option."""
     facts = {
         "--fps 240": bench.fps,
         "--px-per-m 340": bench.px_per_m,
@@ -179,7 +179,7 @@ def locate_points(
 ) -> tuple[pd.DataFrame, float]:
     """Return points with arc lengths, and the string's length [m].
 
-    What the user does not state is measured on the string hanging at rest, and noted.
+    Values that are not stated are measured on the hanging string at rest, and noted.
     """
     points = tables.points
     if points.empty:
@@ -205,7 +205,7 @@ def locate_points(
 
 
 def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
-    """Refuse a stated arc length of a point that the files do not have."""
+    """Refuse a stated arc length of a point that is not in the files."""
     names = list(points["point"].unique())
     for name in bench.point_arc_lengths:
         if name not in names:
@@ -218,7 +218,7 @@ def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
 def measure_hanging_points(
     tables: ImportedTables, bench: BenchHints, notes: list[str]
 ) -> tuple[dict[str, float], float]:
-    """Measure where points are along the string as it hangs at rest, and note it.
+    """Measure arc lengths of points on the hanging string at rest, and note them.
 
     Returns the arc length of each point by its name, and the string's length [m].
     """
@@ -238,7 +238,7 @@ def measure_hanging_points(
     length = bench.length or round(hanging.length, 4)
     if not bench.length:
         notes.append(describe_inferred_length(length, agreement))
-    # To a tenth of a millimetre, and none beyond the end
+    # to a tenth of a millimetre, within the string
     arc_lengths = {n: min(round(s, 4), length) for n, s in hanging.arc_lengths.items()}
     if len(arc_lengths) > 1:
         places = []
@@ -262,7 +262,7 @@ def require_length(bench: BenchHints) -> float:
 
 
 def describe_hanging_string(hanging: HangingString) -> str:
-    """Say how well points agree with a string that hangs at rest."""
+    """Describe how well points agree with a string hanging at rest."""
     trials = format_count(len(hanging.distances), "trial")
     misfit = f"{MM_PER_M * hanging.misfit_m:.1f} mm"
     return f"it hangs at rest, in {trials} {misfit} from a heavy rod"
@@ -292,7 +292,7 @@ def format_place(xy: np.ndarray) -> str:
 
 
 def describe_inferred_length(length: float, source: str) -> str:
-    """Say that a length [m] is inferred, and from what."""
+    """Describe the source of an inferred length [m]."""
     return (
         f"the string seems to be {length:.3f} m long ({source}). "
         "Measure it, and give it with --length"
@@ -311,12 +311,11 @@ def select_columns(points: pd.DataFrame) -> pd.DataFrame:
 def align_roughly(
     points: pd.DataFrame, grasp: pd.DataFrame, length: float
 ) -> dict[str, float]:
-    """Return what to add to the times of points of each trial [s].
+    """Return a rough offset to add to the times of points of each trial [s].
 
-    It is the middle of what is possible whatever the string is.
-
-    Raises DataError if nothing moves, the string was seen too seldom, or no trial has
-    both a hand and points.
+    It is the centre of the interval that is possible for any string. Raises DataError
+    if nothing moves, the string was seen too rarely, or no trial has both hand and
+    points.
     """
     hands = dict(list(grasp.groupby("trial")))
     trials = []
@@ -354,9 +353,9 @@ def write_dataset(
     imported : ImportedDataset
         The dataset.
     folder : Path
-        A folder that does not exist yet.
+        A new folder.
     files : sequence of Path
-        The files that were imported, whose hashes are stored.
+        The imported files; their hashes are stored.
     command : str
         The command that makes the dataset again.
     """

@@ -23,18 +23,18 @@ from stringcast.pipeline.run.result import read_summary
 from stringcast.pipeline.settings.composition import flatten_settings
 from stringcast.stages.report.formatting import join_names
 
-# compared under another heading, or drawn
+# compared under another heading, or a picture
 UNCOMPARED_FILES = frozenset(
     {"config.json", SUMMARY_FILE, FAILURE_FILE, LOG_FILE, "report.html"}
 )
 
-MAX_NAMES_SHOWN = 4  # of what differs, in the concluding sentence
+MAX_NAMES_SHOWN = 4  # names of differences in the conclusion
 
 
 def main(arguments: list[str]) -> int:
-    """Print the differences under five headings, and what can explain the results.
+    """Print the differences under five headings, and a conclusion.
 
-    The exit status is 0 if there are none.
+    The exit status is 0 without differences.
     """
     parser = CommandParser("python -m pipeline diff", description=__doc__)
     parser.add_argument("a", type=Path, help="a run's folder")
@@ -59,7 +59,7 @@ def main(arguments: list[str]) -> int:
 def conclusion(
     names_by_heading: Mapping[str, Sequence[str]], outcomes: Sequence[str]
 ) -> str:
-    """Return in words what differs, and whether it can explain the results."""
+    """Describe the differences, and whether they can explain the results."""
     reasons = []
     for heading, names in names_by_heading.items():
         if names and heading != "results":
@@ -82,7 +82,7 @@ def conclusion(
 
 
 def describe_outcome(results: Mapping[str, Any]) -> str:
-    """Return in words how a run ended, from the values of its run.json."""
+    """Describe the outcome of a run from the values of its run.json."""
     if results.get("run.json: ended") is False:
         return "has not ended"
     misses, rates = [], []
@@ -102,7 +102,7 @@ def describe_outcome(results: Mapping[str, Any]) -> str:
 def run_facts(run: Path) -> dict[str, dict[str, Any]]:
     """Return settings, data, code, packages and results of a run, for `diff`.
 
-    Raises UserError if there is no run, and DataError if it has made nothing.
+    Raises UserError without a run, and DataError for a run without steps.
     """
     settings = read_stored_settings(run)
     origins = []

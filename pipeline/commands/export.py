@@ -70,9 +70,9 @@ def main(arguments: list[str]) -> int:
 
 
 def write_mjcf(options: argparse.Namespace) -> None:
-    """Write the string as MJCF and a script that plays it; compare it if asked to.
+    """Write the string as MJCF and a script that plays it; optionally compare it.
 
-    Raises UserError unless mass and step are sensible.
+    Raises UserError for implausible mass or step.
     """
     string = KnownString.from_run(options.run)
     model = experiment_for_call((), string).model
@@ -101,7 +101,7 @@ def write_mjcf(options: argparse.Namespace) -> None:
 def compare_with_trials(
     run: Path, string: KnownString, mass: float, step: float
 ) -> list[str]:
-    """Say how far the tip in MuJoCo and in our model is off the measured one."""
+    """Print the tip errors of MuJoCo and of our model in the run's trials."""
     model, trials = trials_of_run(run, string)
     values = model.values({})
     lines = [
@@ -131,15 +131,15 @@ def compare_with_trials(
 
 
 def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedTrial]]:
-    """Return the model of a string in the trials that a run made or was given.
+    """Return the model of a string, and the trials that a run made or used.
 
-    Raises UserError if the run names no trials.
+    Raises UserError for a run without trials.
     """
     settings = read_stored_settings(run)
     given = settings.get("trials")
     trials = read(given if given else run)
     experiment, data = prepare_trials(trials, ("+experiment=estimate",))
-    # arm and camera are those of the trials
+    # arm and camera of the trials
     arm, camera = experiment.model.arm, experiment.model.camera
     model = replace(experiment_for_call((), string).model, arm=arm, camera=camera)
     return model, [prepare_trial(model, trial) for trial in data.trials.values()]
@@ -153,7 +153,7 @@ def write_parameters(options: argparse.Namespace) -> None:
 def write_samples(options: argparse.Namespace) -> None:
     """Write the draws of the run's last estimation for ArviZ.
 
-    Raises UserError if the run has none.
+    Raises UserError for a run without draws.
     """
     stored = sorted(options.run.glob("iterations/*/estimate/draws.parquet"))
     draws = pd.read_parquet(stored[-1]) if stored else pd.DataFrame()
@@ -174,7 +174,7 @@ def write_samples(options: argparse.Namespace) -> None:
 def write_trajectory(options: argparse.Namespace) -> None:
     """Write the commands of the run's last motion for ROS 2.
 
-    Raises UserError if the run has no motion, or the joints are not three.
+    Raises UserError for a run without a motion, or unless there are three joints.
     """
     stored = sorted(options.run.glob("iterations/*/motion/commands.parquet"))
     if not stored:
@@ -204,7 +204,7 @@ WRITERS: dict[str, Callable[[argparse.Namespace], None]] = {
 
 
 def parameter_table(string: KnownString) -> str:
-    """Return CSV with a row for each parameter and its 95 % interval where known.
+    """Return CSV with a row for each parameter and its 95 % interval, if known.
 
     The paper's parameters are per mass point, at `string.reference_points` points.
     """

@@ -47,7 +47,7 @@ from stringcast.pipeline.commands.import_options import (
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.check.measured import CheckedDataset
 
-# units of points, of the hand and of angles, direction, clock and rows of zeros
+# units of points, hand and angles, direction, clock and zero rows
 MAX_CORRECTIONS = 8
 
 
@@ -61,7 +61,7 @@ class UnconfirmedChangeError(DataError):
 
 
 class NotUsableError(DataError):
-    """Data in which an error was found, with their overview."""
+    """Unusable data, with their overview."""
 
     def __init__(self, folder: Path, overview: dict[str, Any]) -> None:
         super().__init__(
@@ -72,7 +72,7 @@ class NotUsableError(DataError):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Read, show and write; return 0 if a usable folder was written."""
+    """Read, show and write the data; return 0 if a usable folder was written."""
     try:
         options = argument_parser(__doc__).parse_args(arguments)
     except UserError as error:
@@ -95,7 +95,7 @@ def main(arguments: Sequence[str]) -> int:
 def overview_of_refusal(
     options: argparse.Namespace, error: Exception
 ) -> dict[str, Any]:
-    """Return the overview of files that were refused, in the form of `check --json`."""
+    """Return the overview of refused files, in the form of `check --json`."""
     message = str(error)
     place = message.partition(": ")[0]
     known = {str(file) for file in options.files} | {f.name for f in options.files}
@@ -119,10 +119,10 @@ def overview_of_refusal(
 
 
 def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, Any]:
-    """Read, show and write; return the overview of what was written.
+    """Read, show and write the data; return their overview.
 
-    Raises NotUsableError, with their overview, if the data are not usable; DataError if
-    the files cannot be read, or leave a question open; UserError for a wrong option.
+    Raises NotUsableError for unusable data, DataError for unreadable or ambiguous
+    files, and UserError for a wrong option.
     """
     folder: Path = options.to
     if folder.exists():
@@ -161,9 +161,10 @@ def interpret_recordings(
     options: argparse.Namespace,
     console: Terminal,
 ) -> tuple[ImportedTables, ImportedDataset, CheckedDataset]:
-    """Convert recordings, and correct units, directions and clocks that cannot be.
+    """Convert recordings, and correct impossible units, directions and clocks.
 
-    A correction is confirmed on a terminal and assumed elsewhere. It changes `options`.
+    Corrections are confirmed on a terminal and applied without a question elsewhere.
+    They change `options`.
     """
     with TemporaryDirectory() as place:
         for number in range(MAX_CORRECTIONS):
@@ -192,7 +193,7 @@ def interpret_recordings(
 
 
 def propose_degrees(tables: ImportedTables) -> Change | None:
-    """Propose degrees if angles that state no unit reach too far for radians."""
+    """Propose degrees if angles without a unit are too large for radians."""
     for column in tables.used_columns:
         if (column.unit, column.how) == ("deg", "values"):
             largest = degrees(max(-column.low, column.high))
@@ -205,7 +206,7 @@ def propose_degrees(tables: ImportedTables) -> Change | None:
 
 
 def propose_skipped_zeros(tables: ImportedTables) -> Change | None:
-    """Propose to leave out rows that are exactly zero, if the hand's log has any."""
+    """Propose to skip zero rows, if the hand's log has any."""
     if not tables.zero_rows:
         return None
     counts = [f"{count} in {file.name}" for file, count in tables.zero_rows.items()]
@@ -219,10 +220,9 @@ def propose_skipped_zeros(tables: ImportedTables) -> Change | None:
 def fit_clocks(
     imported: ImportedDataset, checked: CheckedDataset
 ) -> tuple[ImportedDataset, CheckedDataset, pd.DataFrame]:
-    """Fit the clocks of a dataset whose geometry is settled.
+    """Fit the clocks of a dataset with confirmed geometry.
 
-    Returns the dataset with both clocks together, as written and as checked, and the
-    profile of offsets that are added to the times as written.
+    Returns the aligned dataset and measurements, and the profile of the offset.
     """
     # takes seconds to import
     clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
@@ -242,7 +242,7 @@ def fit_clocks(
 
 
 def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:
-    """Propose to fit the clocks of arm and camera, which have no time in common."""
+    """Propose to fit clocks of arm and camera without common time."""
     name = imported.trials_without_common_time[0]
     if options.clock is not None:
         raise DataError(
@@ -263,9 +263,9 @@ def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) ->
 def confirm_change(
     change: Change, options: argparse.Namespace, console: Terminal
 ) -> None:
-    """Apply a change to the options, after a yes if somebody can be asked.
+    """Apply a change to the options, after confirmation on a terminal.
 
-    Raises DataError if a person must confirm it, and nobody can be asked.
+    Raises DataError if it must be confirmed, but there is no terminal.
     """
     option = " ".join(change.words)
     can_ask = sys.stdin.isatty() and not (options.yes or options.json)
@@ -288,7 +288,7 @@ def confirm_change(
 
 
 def column_table(tables: ImportedTables) -> Table:
-    """Return a table of the columns that were used and of those left out.
+    """Return a table of used and unused columns.
 
     Files with the same columns share a row.
     """
@@ -328,7 +328,7 @@ def column_table(tables: ImportedTables) -> Table:
 
 
 def range_unit(column: UsedColumn) -> str:
-    """Return the unit of a column's range, after a blank; empty if it has none."""
+    """Return the unit of a column's range, after a blank; empty without one."""
     role = column.role
     if column.unit in ("1", "px") or role == "trial" or role.endswith("valid"):
         return ""
@@ -338,7 +338,7 @@ def range_unit(column: UsedColumn) -> str:
 
 
 def shared_file_name(files: Sequence[Path]) -> str:
-    """Return the name of a file, or what the names of several have in common."""
+    """Return the name of a file, or the common part of several names."""
     names = list(dict.fromkeys(file.name for file in files))
     if len(names) == 1:
         return names[0]
@@ -349,9 +349,9 @@ def shared_file_name(files: Sequence[Path]) -> str:
 def draw_first_trial(
     checked: CheckedDataset, folder: Path, profile: pd.DataFrame | None
 ) -> Path | None:
-    """Draw the first trial with points beside the folder, and return the picture.
+    """Draw the first trial with points to a file beside the folder; return its path.
 
-    `profile` is of the offset of its clocks, if that was fitted.
+    profile: of the clock offset, if it was fitted.
     """
     # takes a second to import
     charts = import_module("stringcast.stages.report.charts.trial")

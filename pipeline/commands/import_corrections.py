@@ -1,4 +1,4 @@
-"""Options of `import` that undo the mistakes which files show."""
+"""Options of `import` that undo mistakes detected in files."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from stringcast.stages.check.consistency.corrections.joints import (
 from stringcast.stages.check.consistency.corrections.lengths import WrongUnit
 from stringcast.stages.check.consistency.corrections.times import PointRate
 
-# files leave these open, and one answer is certain: it is taken and said
+# not stated in files, but certain: applied and reported without a question
 CERTAIN_MISTAKES = (WrongUnit, PointDirections, Degrees)
 
 
 def must_confirm(correction: Correction, tables: ImportedTables) -> bool:
-    """Return whether a person has to confirm a correction."""
+    """Return whether a person must confirm a correction."""
     is_certain = isinstance(correction, CERTAIN_MISTAKES)
     return not is_certain or contradicts_statement(correction, tables)
 
 
 def contradicts_statement(correction: Correction, tables: ImportedTables) -> bool:
-    """Return whether names of columns or options state what is wrong."""
+    """Return whether a correction contradicts column names or options."""
     if isinstance(correction, Degrees):
         joints = [c for c in tables.used_columns if c.role.startswith("q")]
         return any(column.unit == "rad" and is_unit_stated(column) for column in joints)
@@ -66,7 +66,7 @@ def length_columns(correction: WrongUnit, tables: ImportedTables) -> list[UsedCo
     for column in tables.used_columns:
         if column.role in ("x", "y"):
             is_wrong = "hand" in correction.parts
-        else:  # a point's roles are such as tip.x
+        else:  # roles of points are such as tip.x
             is_length = column.role == "s" or column.role.endswith((".x", ".y"))
             is_wrong = is_length and bool({"xy", "s"} & {*correction.parts})
         if is_wrong:
@@ -78,7 +78,7 @@ def length_columns(correction: WrongUnit, tables: ImportedTables) -> list[UsedCo
 def option_words(
     correction: Correction, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the options that undo a mistake; empty if none does."""
+    """Return the options that undo a mistake; empty without any."""
     return []
 
 
@@ -111,7 +111,7 @@ def unit_words(
 
 
 def unit_of_size(size: float) -> str:
-    """Return the shortest name of the unit of this size [m]; empty if there is none."""
+    """Return the shortest name of the unit of this size [m]; empty without one."""
     names = []
     for name, metres in LENGTH_UNITS.items():
         if np.isclose(metres, size, rtol=1e-6):
@@ -123,9 +123,9 @@ def unit_of_size(size: float) -> str:
 def y_down_words(
     correction: YDown, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option that turns y of points, if their file holds no hand.
+    """Return the option that flips y of points, unless their file holds the hand.
 
-    It would turn the hand, too.
+    It would flip the hand, too.
     """
     hand_files = {c.file for c in tables.used_columns if c.role == "y"}
     point_files = {c.file for c in tables.used_columns if c.role.endswith(".y")}
@@ -141,7 +141,7 @@ def plane_words(
     tables: ImportedTables,
     options: argparse.Namespace,
 ) -> list[str]:
-    """Return the plane of the points; it would turn a measured hand, too."""
+    """Return the option of the points' plane, unless the hand is measured, too."""
     if states_direction(options) or not tables.joints:
         return []
     plane = "-x,y" if isinstance(correction, XLeft) else "y,x"
@@ -160,7 +160,7 @@ def exchange_words(
     """Return the options that exchange the arc lengths of two points."""
     if len(options.at) != 2:
         return []
-    first, second = options.at  # such as tip=0.30
+    first, second = options.at  # e.g. tip=0.30
     first_name, _, first_s = first.partition("=")
     second_name, _, second_s = second.partition("=")
     return ["--at", f"{first_name}={second_s}", "--at", f"{second_name}={first_s}"]
@@ -170,7 +170,7 @@ def exchange_words(
 def degree_words(
     correction: Degrees, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option of angles in degrees, unless radians are stated."""
+    """Return the option for angles in degrees, unless radians are stated."""
     return [] if options.deg is False else ["--deg"]
 
 
@@ -178,7 +178,7 @@ def degree_words(
 def absolute_words(
     correction: AbsoluteAngles, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option of angles to +x."""
+    """Return the option for angles relative to +x."""
     return ["--absolute"]
 
 
@@ -186,7 +186,7 @@ def absolute_words(
 def order_words(
     correction: JointOrder, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the options that take joints in another order."""
+    """Return the options for another order of joints."""
     if maps_joints(options):
         return []
     column_of = columns_by_role(tables)
@@ -200,7 +200,7 @@ def order_words(
 def count_words(
     correction: EncoderCounts, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the options that take joints as counts of an encoder."""
+    """Return the options for joints in encoder counts."""
     if maps_joints(options):
         return []
     column_of = columns_by_role(tables)
@@ -212,12 +212,12 @@ def count_words(
 
 
 def columns_by_role(tables: ImportedTables) -> dict[str, str]:
-    """Return the names of the columns that were used, by their role."""
+    """Return the names of used columns by role."""
     return {column.role: column.column for column in tables.used_columns}
 
 
 def maps_joints(options: argparse.Namespace) -> bool:
-    """Return whether the user named columns of joints."""
+    """Return whether the user mapped joint columns."""
     return any(text.startswith("q") for text in options.map)
 
 
@@ -225,7 +225,7 @@ def maps_joints(options: argparse.Namespace) -> bool:
 def base_words(
     correction: ArmElsewhere, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option of the arm's place, if the motion shows it."""
+    """Return the option of the arm's base, if the motion determines it."""
     x, y = correction.place
     return [f"--base={x:g},{y:g}"] if correction.is_shown else []
 
@@ -234,7 +234,7 @@ def base_words(
 def rate_words(
     correction: PointRate, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
-    """Return the option that states another frame rate, if no times are in files."""
+    """Return the option of another frame rate, if the files have no times."""
     fps = options.fps
     clocks = [column for column in tables.used_columns if column.role == "t"]
     counts_frames = any(column.unit.startswith("frames") for column in clocks)

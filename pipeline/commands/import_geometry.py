@@ -1,4 +1,4 @@
-"""Geometry of files to import: what contradicts itself, and the options for it."""
+"""Contradictory geometry of imported files, and the options that correct it."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from stringcast.stages.check.consistency.judge import Verdict, judge
 from stringcast.stages.check.consistency.record import Measurements
 from stringcast.stages.check.consistency.search import Proposal, find_answer
 
-MAX_FLAT_SHARE = 0.02  # of the other coordinate's range: one that never changes
+MAX_FLAT_SHARE = 0.02  # range of a constant coordinate, relative to the other's
 TABLE_WORDS = {
     "points": "points of the string",
     "arm": "the arm's log",
@@ -46,9 +46,9 @@ TABLE_WORDS = {
 
 
 class Change(NamedTuple):
-    """Options that would explain why the data contradict themselves.
+    """Options that would resolve a contradiction in the data.
 
-    must_ask: whether a person has to confirm them. file, field: what they concern.
+    must_ask: whether a person must confirm them. file, field: place of the fault.
     """
 
     reason: str
@@ -61,12 +61,11 @@ class Change(NamedTuple):
 def propose_geometry(
     tables: ImportedTables, bench: BenchHints, options: argparse.Namespace
 ) -> Change | None:
-    """Return the options that make files consistent; None if they are.
+    """Return the options that make files consistent.
 
-    None also stands for files that nothing makes consistent: the checks of the dataset
-    report them, with a drawing.
-
-    Raises DataError if several corrections fit, or one that no option performs.
+    Returns None if the files are consistent, or if no correction fits: then the checks
+    of the dataset report the fault with a drawing. Raises DataError if several
+    corrections fit, or if no option applies the correction.
     """
     measured = measurements_of_tables(tables, bench)
     if measured is None:
@@ -97,9 +96,9 @@ def change_of(
     tables: ImportedTables,
     options: argparse.Namespace,
 ) -> Change:
-    """Return the options that perform a proposal.
+    """Return the options that apply a proposal.
 
-    Raises DataError, with what to do instead, if no option does.
+    Raises DataError with another remedy if no option does.
     """
     corrections = proposal.corrections
     words_of_each = [option_words(c, tables, options) for c in corrections]
@@ -126,7 +125,7 @@ def change_of(
 
 
 def table_files(table: str, tables: ImportedTables) -> str:
-    """Return the files that make a table of the dataset; empty if options make it."""
+    """Return the files of a table of the dataset; empty if options give it."""
     names = []
     for column in tables.used_columns:
         is_point = column.role.endswith((".x", ".y")) or column.role == "s"
@@ -137,7 +136,7 @@ def table_files(table: str, tables: ImportedTables) -> str:
 
 
 def statements_for_files(proposal: Proposal) -> str:
-    """Return all that is wrong, with the places where it is."""
+    """Describe all faults with their places."""
     statements = []
     for correction in proposal.corrections:
         table = TABLE_WORDS.get(correction.table, "the stated geometry")
@@ -175,7 +174,7 @@ def refuse_pairing(pairing: Mapping[str, str]) -> None:
 
 
 def refuse_flat_points(measured: Measurements) -> None:
-    """Refuse points of which one coordinate never changes: that of another plane."""
+    """Refuse points with a constant coordinate, which belongs to another plane."""
     spread = np.zeros(2)
     for track in measured.tracks:
         low, high = np.quantile(track.xy, [0.05, 0.95], axis=0)
@@ -197,7 +196,7 @@ def refuse_ambiguity(
     changes: Sequence[Change],
     options: argparse.Namespace,
 ) -> None:
-    """Refuse files that several corrections make consistent, and name the commands."""
+    """Refuse files that several corrections make consistent; name the commands."""
     choices = []
     for proposal, change in zip(proposals, changes, strict=True):
         command = command_with(options, change.words)
@@ -210,7 +209,7 @@ def refuse_ambiguity(
 
 
 def refuse_point_inside(measured: Measurements) -> None:
-    """Refuse a single point that moves as one further up the string than its tip."""
+    """Refuse a single point that moves like a point above the tip."""
     length = measured.length
     points = {track.point for track in measured.tracks}
     if length is None or len(points) > 1 or measured.stated_arc_lengths:

@@ -1,4 +1,4 @@
-"""Options of `import`: read as hints about columns and bench, and written again."""
+"""Options of `import`: conversion to hints, and back to a command."""
 
 from __future__ import annotations
 
@@ -170,10 +170,9 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
 
 
 def expand_patterns(files: Sequence[Path]) -> list[Path]:
-    """Return the files with patterns such as robot_*.csv expanded in their places.
+    """Expand patterns such as robot_*.csv in place, as shells of Windows do not.
 
-    Shells of Windows do not expand them. A name that exists, or a pattern without a
-    match, stays.
+    Existing names and patterns without a match stay.
     """
     expanded: list[Path] = []
     for file in files:
@@ -201,7 +200,7 @@ def parse_length(text: str) -> float:
 def parse_lengths(text: str) -> tuple[float, ...]:
     """Return lengths such as 0.25,0.20 or 250,200mm [m].
 
-    The unit of the last holds for those without one.
+    The last unit applies to lengths without one.
     """
     parts = text.split(",")
     unit = re.sub(r"[^a-z]", "", parts[-1].strip().lower())
@@ -213,7 +212,7 @@ def parse_lengths(text: str) -> tuple[float, ...]:
 
 
 def parse_pixels(text: str) -> tuple[float, float]:
-    """Return a place in a picture such as 251.5,387.5 [px]."""
+    """Return a pixel position such as 251.5,387.5."""
     match = re.fullmatch(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*", text)
     if not match:
         raise argparse.ArgumentTypeError(
@@ -233,9 +232,9 @@ def parse_length_pair(text: str) -> tuple[float, float]:
 
 
 def read_column_hints(options: argparse.Namespace) -> ColumnHints:
-    """Return what the options say about columns.
+    """Return the hints about columns.
 
-    Raises UserError if a unit, plane or clock is none.
+    Raises UserError for an invalid unit, plane or clock.
     """
     units = {}
     for text in options.unit:
@@ -269,7 +268,7 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
 
 
 def read_clock(text: str | None) -> tuple[float, float | None]:
-    """Return the seconds that `--clock` adds, and their error if it is stated."""
+    """Return the offset of `--clock` [s], and its stated error, if any."""
     if text in (None, "fit"):
         return 0.0, None
     seconds, _, error = text.partition(",")
@@ -283,7 +282,7 @@ def read_clock(text: str | None) -> tuple[float, float | None]:
 
 
 def read_bench_hints(options: argparse.Namespace) -> BenchHints:
-    """Return what the options say about the bench."""
+    """Return the hints about the bench."""
     arc_lengths = {}
     for name, text in parse_name_values(options.at, "--at", "tip=0.30"):
         arc_lengths[name] = parse_length(text)
@@ -320,7 +319,7 @@ def parse_name_values(
 
 
 def equivalent_command(options: argparse.Namespace) -> str:
-    """Return the command that gives the same without a question."""
+    """Return the command with the same result without questions."""
     words = ["import", *map(str, options.files), "--to", str(options.to)]
     for name, value in vars(options).items():
         if name not in ("files", "to", "yes", "json"):
@@ -329,7 +328,7 @@ def equivalent_command(options: argparse.Namespace) -> str:
 
 
 def option_as_words(name: str, value: Any) -> list[str]:
-    """Return an option as it is typed; nothing for a default."""
+    """Return an option as typed; empty for a default."""
     option = f"--{name.replace('_', '-')}"
     if name == "deg" and value is False:
         return ["--rad"]

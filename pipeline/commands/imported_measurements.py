@@ -1,4 +1,4 @@
-"""What imported files hold as measurements, on the bench that the user describes."""
+"""Measurements of imported files on the bench described by the user."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stringcast.stages.check.consistency.record import (
 from stringcast.stages.check.measured import drop_spikes
 from stringcast.stages.report.formatting import format_count
 
-MIN_ROWS = 5  # of a table: fewer show nothing
+MIN_ROWS = 5  # of a table; fewer are not judged
 EXAMPLE_LINKS_M = ("0.25", "0.20", "0.135")
 
 
@@ -33,17 +33,17 @@ class BenchHints:
     length
         Length of the string [m].
     links, base
-        Lengths of the arm's links and place of joint 1 [m].
+        Lengths of the arm's links and position of joint 1 [m].
     point_arc_lengths
         Arc length of each point by its name [m].
     fit_clock
         Whether the clocks of arm and camera are aligned by the motion.
     clock_error
-        How far the stated offset of the clocks may be off [s]; None if that is unknown.
+        Error of the stated clock offset [s]; None if unknown.
     geometry_is_measured
-        Whether a motion that no string in this hand seems to make is to be believed.
+        Whether the geometry was measured, so that implausible motion is accepted.
     starts_moving
-        Whether the string moves already when trials begin.
+        Whether the string moves when trials begin.
     hand_turn
         Angle added to the hand's direction [rad].
     fps, px_per_m, origin_px
@@ -67,7 +67,7 @@ class BenchHints:
 def measurements_of_tables(
     tables: ImportedTables, bench: BenchHints
 ) -> Measurements | None:
-    """Return what files hold as measurements; None if it cannot be judged."""
+    """Convert tables to measurements; None if they cannot be judged."""
     grasp = imported_grasp_poses(tables, bench)  # refuses missing links
     if tables.points.empty:
         return None
@@ -101,7 +101,7 @@ def measurements_of_tables(
 
 
 def tracks_of(points: pd.DataFrame, bench: BenchHints) -> tuple[Track, ...]:
-    """Return the tracks of a trial's points, of a few if their arc length is stated."""
+    """Return the tracks of a trial's points; only a few if arc lengths are known."""
     if "s" in points:
         known = points.dropna(subset=["s"])
         return tracks_along_string(known.sort_values(["t", "s"], kind="stable"))

@@ -48,15 +48,14 @@ RUNS_TABLE = Table(
     said (text): how it ended or why it stopped, in words
     """),
 )
-# first characters of a cell that a spreadsheet takes for a formula; the last four are
-# those of keyboards for Chinese and Japanese
+# first characters of formulas in spreadsheets; the last four are East Asian forms
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\n", "＝", "＋", "－", "＠")
-# characters, so that a row fits into 80 columns
+# fits into 80 columns
 RUN_COLUMN_WIDTH, COLUMN_WIDTH = 38, 10
 
 
 def main(arguments: list[str]) -> int:
-    """List the runs of a folder and return the exit status 0, also without runs."""
+    """List the runs of a folder; return 0, also without runs."""
     parser = CommandParser("python -m pipeline index", description=__doc__)
     parser.add_argument(
         "folder",
@@ -136,9 +135,9 @@ def casts_of_runs(
 
 
 def neutralise_formula(value: Any) -> Any:
-    """Return a text that no spreadsheet or terminal takes for a command.
+    """Return a text that is harmless in spreadsheets and terminals.
 
-    A formula is one if a text begins with it; an apostrophe before it makes it a text.
+    An apostrophe turns a formula into text.
     """
     if not isinstance(value, str):
         return value
@@ -147,7 +146,7 @@ def neutralise_formula(value: Any) -> Any:
 
 
 def run_row(run: Path) -> dict[str, Any]:
-    """Return the row of a run, which says what is wrong if the run is damaged."""
+    """Return the row of a run; for a damaged run, it states the fault."""
     try:
         settings = read_json(run / "config.json")
         summary = read_summary(run)
@@ -160,7 +159,7 @@ def run_row(run: Path) -> dict[str, Any]:
             if isinstance(value, str):
                 row[name] = escape_control_characters(value)
         return row
-    except Exception as error:  # a run of others may be damaged in any way
+    except Exception as error:  # a foreign run may be damaged in any way
         reason = str(error) if isinstance(error, DataError) else repr(error)
         return {
             "experiment": "",
@@ -178,7 +177,7 @@ def run_row(run: Path) -> dict[str, Any]:
 
 
 def printable_table(runs: pd.DataFrame) -> TerminalTable:
-    """Return the list for the terminal: how runs ended, or else their states."""
+    """Return the list for the terminal: outcomes, or else states of runs."""
     table = TerminalTable(box=None, pad_edge=False)
     run_width = max(runs["run"].str.len(), default=0)
     table.add_column("run", overflow="fold", min_width=min(RUN_COLUMN_WIDTH, run_width))
@@ -222,7 +221,7 @@ def ending_columns(
         outcome = str(diagnosis["verdict"])
         causes = ", ".join(cause["effect"] for cause in diagnosis["causes"])
     elif any("hit" in iteration for iteration in summary["iterations"]):
-        # without the arm, or with a slow one, nothing was thrown at the target
+        # a rehearsal does not cast at the target
         if settings["execute"]["_target_"] in DRY_RUNS:
             outcome = "dry run"
         else:
@@ -245,7 +244,7 @@ def step_columns(
         rates.append(float(estimation["after"].iloc[0]))
 
     count = len({step.parent for step in steps})
-    if summary:  # a step may use all trials before it
+    if summary:  # a step may use several trials
         count = len(summary["iterations"])
     return {
         "date": min(dates, default=""),
@@ -258,7 +257,7 @@ def step_columns(
 
 
 def stale_word(reason: str) -> str:
-    """Return a word for the reason why a run is stale; empty for a fresh run."""
+    """Return the reason why a run is stale in a word; empty for a fresh run."""
     if UNNAMED_PLUGIN in reason:
         return "plugin not named"
     return "yes" if reason else ""

@@ -25,7 +25,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("file", type=Path, help="a file of a run, or a step's folder")
     file: Path = parser.parse_args(arguments).file
     tree = Tree(Text(str(file)))
-    hash_of = cache(store.content_hash)  # footers may name a folder many times
+    hash_of = cache(store.content_hash)  # footers may name a folder repeatedly
     place, run = file.resolve(), run_folder_of(file)
     has_changed = add_origin(tree, place, run, set(), hash_of)
     Terminal(highlight=False).print(tree)
@@ -50,14 +50,14 @@ def add_origin(
     run : Path
         Folder of its run.
     shown : set
-        Places and lines that are shown already; changed by it.
+        Places and lines already shown; extended here.
     hash_of : callable
         Returns the content hash of a path.
 
     Returns
     -------
     bool
-        Whether an input is not as it was.
+        Whether an input has changed.
     """
     origin = {} if place in shown else origin_of_file(place, run)
     shown.add(place)
@@ -71,7 +71,7 @@ def add_origin(
     has_changed = False
     for name, digest in origin.get("inputs", {}).items():
         paths = [path.resolve() for path in (run / name, Path(name)) if path.exists()]
-        # of a folder elsewhere, which no step has as an input, nothing is read
+        # do not read folders that are not inputs of steps
         paths = [path for path in paths if path.is_file() or path.is_relative_to(run)]
         if not paths:
             tree.add(Text(f"{name} IS GONE"))
@@ -88,7 +88,7 @@ def add_origin(
 
 
 def change_of(path: Path, digest: str, hash_of: Callable[[Path], str]) -> str:
-    """Say how a path differs from its hash; return an empty text if it does not."""
+    """Describe how a path differs from its hash; empty if it does not."""
     try:
         return "" if hash_of(path) == digest else " HAS CHANGED SINCE"
     except store.READ_ERRORS:
@@ -96,10 +96,10 @@ def change_of(path: Path, digest: str, hash_of: Callable[[Path], str]) -> str:
 
 
 def origin_of_file(place: Path, run: Path) -> dict[str, Any]:
-    """Return the origin of a file or a step's folder; empty if it is not ours.
+    """Return the origin of a file or a step's folder; empty for foreign files.
 
-    A file without a footer was drawn from the steps of its folder: a frame from its
-    trial, a report from the last step.
+    A file without a footer has the origin of a step: a frame that of its trial, a
+    report that of the last step.
     """
     files: list[Path] = []
     if place.suffix == ".parquet":
@@ -116,7 +116,7 @@ def origin_of_file(place: Path, run: Path) -> dict[str, Any]:
 
 
 def describe_origin(origin: Mapping[str, Any]) -> list[str]:
-    """Return lines with step, seed, the step's settings, code and packages."""
+    """Return lines with step, seed, settings, code and packages."""
     step, config = origin["step"], origin["config"]
     code = UNKNOWN_CODE | origin["code"]
     made_by = f"made by {step}, seed {origin['seed']}"

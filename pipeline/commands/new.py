@@ -24,7 +24,7 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import NAME_PATTERN
 
 DEFAULT_PLUGIN = Path("my_lab")
-# Where a name is taken by the package.
+# places where the package may use a name
 PACKAGE_PLACES = {
     "arm": ("conf/arm/{}.yaml",),
     "camera": ("conf/camera/{}.yaml",),
@@ -64,7 +64,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
-    """Raise UserError if a module cannot have the name, or that of the folder."""
+    """Raise UserError unless name and folder name are valid module names."""
     for given in (name, plugin.name):
         if not is_module_name(given):
             near = nearest_module_name(name)
@@ -77,7 +77,7 @@ def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
 
 
 def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
-    """Raise UserError if a file is there, or the package has something of this name."""
+    """Raise UserError if a file exists, or the package uses the name."""
     package = CONF_FOLDER.parent
     places = [package / path.format(name) for path in PACKAGE_PLACES[kind]]
     for place in (*files, *places):
@@ -88,12 +88,12 @@ def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
 
 
 def is_module_name(name: str) -> bool:
-    """Return whether a module can have this name."""
+    """Return whether this is a valid module name."""
     return bool(NAME_PATTERN.fullmatch(name)) and not keyword.iskeyword(name)
 
 
 def nearest_module_name(name: str) -> str:
-    """Return a name that a module can have, near another one."""
+    """Return a valid module name similar to another name."""
     if is_module_name(name):
         return name
     near = re.sub(r"\W+", "_", name.lower()).strip("_0123456789")
@@ -101,11 +101,11 @@ def nearest_module_name(name: str) -> str:
 
 
 def shown_path(path: Path) -> Path:
-    """Return a path from the current folder on, if it lies there."""
+    """Return a path relative to the current folder, if it lies in it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
-Files = dict[str, str]  # texts by their paths within the plugin
+Files = dict[str, str]  # texts by path within the plugin
 
 
 def arm_files(name: str, plugin: str) -> tuple[Files, str]:
@@ -163,6 +163,6 @@ FILES_OF_KIND: dict[str, Callable[[str, str], tuple[Files, str]]] = {
 
 
 def fill_template(text: str, name: str, plugin: str) -> str:
-    """Fill names into a template; that of the file also as the name of a class."""
+    """Fill names into a template, also as a class name."""
     class_name = "".join(part.capitalize() for part in name.split("_"))
     return text.format(name=name, Name=class_name, plugin=plugin)

@@ -14,7 +14,7 @@ from stringcast.pipeline.settings.settings_from_runs import refuse_inherited_lim
 
 
 def main(arguments: list[str]) -> int:
-    """Continue a run and return the exit status 0 when it has ended."""
+    """Continue a run; return 0 when it has ended."""
     parser = CommandParser("python -m pipeline resume", description=__doc__)
     parser.add_argument("run", type=Path, help="the run's folder")
     parser.add_argument(

@@ -16,7 +16,7 @@ from stringcast.pipeline.settings.composition import UserError
 
 
 class NotMadeError(Exception):
-    """A missing step, after which no other step can be read."""
+    """A missing step; later steps cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def walk_steps(
     Returns
     -------
     RunResult or None
-        None where `read_step` raised NotMadeError before the end.
+        None if `read_step` raised NotMadeError.
     """
     if not isinstance(experiment.mode, Stepwise):
         raise UserError(
@@ -68,7 +68,7 @@ def read_stored_settings(folder: Path) -> dict[str, Any]:
 def read_stored_experiment(folder: Path) -> Experiment:
     """Return the experiment of a stored run.
 
-    Raises UserError if there is no run, or one of another version of this code.
+    Raises UserError without a run, or for a run of an incompatible version.
     """
     path = folder / "config.json"
     try:
@@ -81,7 +81,7 @@ def read_stored_experiment(folder: Path) -> Experiment:
 
 
 def run_folder_of(path: Path) -> Path:
-    """Return the run's folder that contains a path; raise UserError if none does."""
+    """Return the run's folder that contains a path; raise UserError without one."""
     if not path.exists():
         raise UserError(f"{path}: there is no such file or folder. Name one of a run.")
     folder = enclosing_run(path.resolve())
@@ -94,7 +94,7 @@ def run_folder_of(path: Path) -> Path:
 
 
 def enclosing_run(path: Path) -> Path | None:
-    """Return the nearest run's folder that is, or contains, an absolute path."""
+    """Return the innermost run's folder that is, or contains, an absolute path."""
     for folder in (path, *path.parents):
         if (folder / "config.json").is_file():
             return folder

@@ -34,7 +34,7 @@ UNREPEATABLE_NOTE = "measured with a real arm and camera, cannot be computed aga
 
 
 def main(arguments: list[str]) -> int:
-    """Print the outcome for each step; return 0 if all came out the same."""
+    """Print the outcome for each step; return 0 if all are equal."""
     parser = CommandParser("python -m pipeline verify", description=__doc__)
     parser.add_argument(
         "run", type=Path, help="the run's folder; nothing is written into it"
@@ -59,9 +59,9 @@ class Comparison:
     Attributes
     ----------
     is_same
-        Whether every step is there and came out the same.
+        Whether every step exists and is equal.
     lines
-        The outcome of each step in words.
+        The outcome of each step.
     """
 
     is_same: bool = True
@@ -78,7 +78,7 @@ class Comparison:
 def verify_run(
     experiment: Experiment, folder: Path, scratch: Path, bar: ProgressBar
 ) -> Comparison:
-    """Compute every step of a run again, and then what the run wrote from them.
+    """Compute every step of a run again, and the files written from them.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def compare_dataset(
     result: RunResult,
     comparison: Comparison,
 ) -> None:
-    """Compare the dataset that a run wrote with the one that its steps make."""
+    """Compare the dataset of a run with the one made from its steps."""
     measured = []
     for iteration in result.iterations:
         if iteration.measurement_names:
@@ -150,7 +150,7 @@ def compare_dataset(
 
 
 def compare_summary(folder: Path, result: RunResult, comparison: Comparison) -> None:
-    """Compare run.json with the summary that the steps give."""
+    """Compare run.json with the summary of the steps."""
     path = folder / SUMMARY_FILE
     faults = []
     if not path.is_file():

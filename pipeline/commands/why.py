@@ -24,7 +24,7 @@ from stringcast.pipeline.settings.named_plugins import use_stored_plugins
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.pipeline.settings.typed_settings import build_chosen
 
-StepState = tuple[str, tuple[str, ...]]  # state, and reasons why it is not fresh
+StepState = tuple[str, tuple[str, ...]]  # state, and reasons if not fresh
 FRESH_STEP: StepState = ("fresh", ())
 MISSING_STEP: StepState = ("missing", ("it has not been made yet",))
 STALE_STATE = "stale"
@@ -75,7 +75,7 @@ def main(arguments: list[str]) -> int:
 
 
 def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepState]:
-    """Return the state of each step of a run, after the states of its inputs.
+    """Return the state of each step of a run, including the effect of its inputs.
 
     The next step of an unfinished cast is included as missing.
 
@@ -136,7 +136,7 @@ def step_folders(folder: Path) -> dict[str, Path]:
 
 
 def step_inputs(places: Mapping[str, Path]) -> dict[str, list[str]]:
-    """Return which steps a step was made from, by the footers of its tables."""
+    """Return the input steps of each step, from the footers of tables."""
     inputs = {}
     for name, place in places.items():
         try:
@@ -148,7 +148,7 @@ def step_inputs(places: Mapping[str, Path]) -> dict[str, list[str]]:
 
 
 def missing_step(settings: Mapping[str, Any], folder: Path, number: int) -> Path | None:
-    """Return the first step that an iteration of an unfinished run lacks."""
+    """Return the first missing step in an iteration of an unfinished run."""
     if (folder / SUMMARY_FILE).exists():
         return None
     for name in settings["mode"].get("stages", ()):

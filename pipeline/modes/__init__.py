@@ -1,4 +1,4 @@
-"""Loops over stages, one of which the setting `mode` chooses."""
+"""Loops over stages, chosen by the setting `mode`."""
 
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.calibrate import Calibrate

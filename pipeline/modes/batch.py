@@ -1,4 +1,4 @@
-"""Mode that runs one stage on all trials together."""
+"""Mode that runs one stage on all trials jointly."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from stringcast.pipeline.settings.stage_registry import stages
 
 @dataclass(frozen=True)
 class Batch(Stepwise):
-    """Run of one stage on all trials together.
+    """Run of one stage on all trials jointly.
 
     Parameters
     ----------
     stage : str
         Stage that takes `trials`.
     reading : tuple of str
-        Stages through which each stored trial goes; those that take frames only where
-        no points are stored.
+        Stages applied to each stored trial; those that take frames only without stored
+        points.
     again : bool
-        Read frames again where points are stored.
+        Extract points again even if points are stored.
     first : tuple of str
-        Stages that make a trial if none are stored; empty if stored ones are required.
+        Stages that make a trial if none is stored; empty to require stored trials.
     """
 
     stage: str
@@ -64,7 +64,7 @@ class Batch(Stepwise):
         return build_graph(names, config, {} if first else STORED_ARTIFACTS)
 
     def check(self, experiment: Experiment) -> None:
-        """Refuse a stage that takes more than trials, and missing trials."""
+        """Refuse missing trials, and a stage that needs other inputs."""
         refuse_unknown_stages((self.stage,))
         choices = [
             name
@@ -130,7 +130,7 @@ class Batch(Stepwise):
     def perform_trial(
         self, executor: Executor, graph: StageGraph
     ) -> tuple[History, TrialSet]:
-        """Perform a trial, of which nothing is read yet."""
+        """Perform a trial without extracting points."""
         history = History(executor, graph=graph)
         iteration = history.begin_iteration()
         for name in self.first:

@@ -31,7 +31,7 @@ HOLD_REQUEST = "Hold the board still in the plane of motion."
 
 @dataclass(frozen=True)
 class Calibrate(Mode):
-    """Calibration from pictures of a tilted board and of one in the plane of motion."""
+    """Calibration from pictures of a tilted board and of a board in the plane."""
 
     def check(self, experiment: Experiment) -> None:
         """Refuse stored trials, which a calibration does not use."""
@@ -57,7 +57,7 @@ class Calibrate(Mode):
             step = Step(stage, 1, {"tilted": tilted, "flat": flat, "board": board})
             calibration: Calibration = experiment.run_step(step, progress)
             summary = stage.summary(calibration)
-            # the artifact, the page and, of a good one, camera.yaml
+            # artifact, page and, if usable, camera.yaml
             origin = step_origin(config, stage.name, experiment.seed, {})
             store.save(calibration, folder / stage.folder, origin)
             report = import_module("stringcast.pipeline.run.report")

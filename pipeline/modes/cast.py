@@ -32,9 +32,9 @@ from stringcast.stages.hit_test import HitResult, check_reach, hit_test
 from stringcast.stages.spec import SameIteration, StageSpec
 
 log = logging.getLogger(__name__)
-LOOK_TRIAL = "look"  # name of the trial that shows the string before the first cast
+LOOK_TRIAL = "look"  # name of the slow trial before the first cast
 
-# What a cast does with its artifacts, in the form of a stage.
+# the hit test as a stage
 HIT_TEST = StageSpec(
     name="hit test",
     makes=HitResult,
@@ -47,7 +47,7 @@ HIT_TEST = StageSpec(
 
 @dataclass(frozen=True)
 class Cast(Stepwise):
-    """Casts that are repeated until one hits.
+    """Casts until one hits.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Cast(Stepwise):
     stages: tuple[str, ...]
 
     def look_stages(self, config: Settings) -> tuple[str, ...]:
-        """Return the stages of a look at the string: a cast's, with another motion."""
+        """Return the stages of the look: those of a cast, with another motion."""
         names = []
         for name in self.stages:
             is_plan = issubclass(stages()[name].makes, Motion)
@@ -66,10 +66,7 @@ class Cast(Stepwise):
         return tuple(names)
 
     def graph(self, config: Settings) -> StageGraph:
-        """Return the graph of a cast, which ends with the hit test.
-
-        The stage that plans the look at the string stands before it.
-        """
+        """Return the graph of a cast with hit test, and the planning of the look."""
         graph = build_graph(self.stages, config, {}, HIT_TEST)
         if config["look"] is None:
             return graph
@@ -124,7 +121,7 @@ class Cast(Stepwise):
         return RunResult(folder, iterations, sentence)
 
     def look_at_string(self, experiment: Experiment, history: History) -> None:
-        """Perform the slow trial before the first cast, and learn from it."""
+        """Perform the slow trial before the first cast, and estimate from it."""
         names = self.look_stages(experiment.config)
         graph_of_casts = history.graph
         history.graph = build_graph(names, experiment.config, {})
@@ -139,12 +136,12 @@ class Cast(Stepwise):
     def perform_stages(
         self, names: Sequence[str], experiment: Experiment, history: History
     ) -> None:
-        """Run stages of a trial; nothing is learned from one that is invalid."""
+        """Run stages of a trial; estimate nothing from an invalid trial."""
         iteration = history.iterations[-1]
         for name in names:
             collected = stages()[name].collected_input
             if iteration.refusal_reason and history.lacking_input(name):
-                continue  # what was not learned is not used
+                continue  # needs an estimate that was not made
             if not collected:
                 artifact = history.make_artifact(name)
                 if isinstance(artifact, Motion):
@@ -167,7 +164,7 @@ def measure_hit(
     artifacts = iteration.artifacts
     motion: Motion = artifacts[graph.artifact_name(HIT_TEST.name, "motion")]
     points = artifacts.get(graph.artifact_name(HIT_TEST.name, "points"))
-    if points is None:  # its stage was left out with an estimation
+    if points is None:  # its stage was left out
         points = iteration.find(Points)
     assert points is not None
     in_arm_frame = transform_to_arm_frame(points, experiment.model)
@@ -185,7 +182,7 @@ def log_verdict(iteration: Iteration) -> None:
 
 
 def log_reading(iteration: Iteration) -> None:
-    """Log an arm that is not where its joints say, and why a trial is not used."""
+    """Log an arm off its reported pose, and why a trial is not used."""
     points = iteration.find(Points)
     misfit = describe_arm_misfit(points.readings) if points is not None else ""
     if misfit:
@@ -198,7 +195,7 @@ def log_reading(iteration: Iteration) -> None:
 def trials_for_estimation(
     experiment: Experiment, history: History, stage: str
 ) -> TrialSet:
-    """Return the trusted trials that a stage uses: the last ones, or all."""
+    """Return the valid trials that a stage uses: the last ones, or all."""
     trusted = [
         iteration
         for iteration in history.iterations
@@ -213,7 +210,7 @@ def trials_for_estimation(
 
 
 def log_estimation(iteration: Iteration) -> None:
-    """Log what an estimation found, if any, and whether its trial surprised."""
+    """Log the results of an estimation and of the surprise test, if any."""
     estimate = iteration.find(Estimate)
     if estimate is None:
         return
@@ -253,7 +250,7 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
 
 
 def describe_lack(explanation: Explanation) -> str:
-    """Say which causes the model lacked, or may lack; empty if none is probable."""
+    """Describe missing causes of the model; empty if none is probable."""
     if explanation.verdict not in ("cause", "candidates", "partial"):
         return ""
     causes, probability = next(iter(explanation.cause_sets.items()))
@@ -264,7 +261,7 @@ def describe_lack(explanation: Explanation) -> str:
 
 
 def dry_run_outcome(iteration: Iteration) -> str:
-    """Describe a dry run: the delays of the link, and how often the string was read."""
+    """Describe a dry run: link delays, and frames in which the string was read."""
     trial, points = iteration.find(Trial), iteration.find(Points)
     assert trial is not None
     assert points is not None

@@ -26,18 +26,18 @@ PERFORMANCE = ("propose", "execute")  # stages that perform a proposed motion
 
 @dataclass(frozen=True)
 class Diagnose(Batch):
-    """Diagnosis that is repeated with motions that distinguish candidate causes.
+    """Diagnosis, repeated after motions that distinguish candidate causes.
 
     Parameters
     ----------
     motions : int
-        Largest number of performed motions; with 0 the first is left for another run.
+        Largest number of performed motions; 0: only propose one.
     """
 
     motions: int
 
     def graph(self, config: Settings) -> StageGraph:
-        """Return the graph of a trial, which performs the motion proposed before."""
+        """Return the graph of a trial that performs the last proposed motion."""
         names = [*PERFORMANCE, *self.reading, self.stage]
         return build_graph(names, config, STORED_ARTIFACTS)
 

@@ -26,7 +26,7 @@ from stringcast.pipeline.run.stage_graph import StageGraph, build_graph
 from stringcast.pipeline.settings.composition import Settings
 from stringcast.stages.report.formatting import format_count
 
-# Stages that this mode calls by name.
+# stages called by name
 ESTIMATION = "estimate"
 PREDICTION = "predict"
 
@@ -35,23 +35,23 @@ PREDICTION = "predict"
 class EstimateTrials(Stepwise):
     """Estimation from one trial after another, or from all (`trials_used=all`).
 
-    Each estimation starts at the estimate before. The last estimate predicts the trials
-    that dataset.yaml holds out.
+    Each estimation starts at the previous estimate. The last one predicts the held-out
+    trials.
 
     Parameters
     ----------
     reading : tuple of str
-        Stages through which each stored trial goes; those that take frames only where
-        no points are stored.
+        Stages applied to each stored trial; those that take frames only without stored
+        points.
     again : bool
-        Read frames again where points are stored.
+        Extract points again even if points are stored.
     """
 
     reading: tuple[str, ...]
     again: bool
 
     def graph(self, config: Settings) -> StageGraph:
-        """Return the graph of a stored trial, from which an estimation is made."""
+        """Return the graph of a stored trial and its estimation."""
         names = [*self.reading, ESTIMATION, PREDICTION]
         return build_graph(names, config, STORED_ARTIFACTS)
 
@@ -63,7 +63,7 @@ class EstimateTrials(Stepwise):
     def run_steps(
         self, experiment: Experiment, folder: Path, executor: Executor
     ) -> RunResult:
-        """Estimate from the trials, then predict those that are held out."""
+        """Estimate from the trials, then predict the held-out ones."""
         data = read_usable_trials(experiment)
         held_out = held_out_trials(data)
         fitted = [name for name in data.trials if name not in held_out]

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class Stepwise(Mode):
-    """A mode whose steps an executor makes or reads."""
+    """A mode of steps that an executor makes or reads."""
 
     @abstractmethod
     def run_steps(
@@ -66,15 +66,15 @@ class Stepwise(Mode):
 
 
 def write_page(experiment: Experiment, result: RunResult, console: Terminal) -> None:
-    """Write the run's page; a fault of ours in it costs the page alone.
+    """Write the run's page; a failure loses only the page.
 
-    A page that is there stays as it is where the frames that it shows were not kept.
+    An existing page stays if its frames were not kept.
     """
     page = result.folder / "report.html"
     if page.exists() and run_folder.lacks_frames(result):
         console.print_line("report.html stays as it is: the frames were not kept.")
         return
-    # loaded here, because drawing takes a second and more to load
+    # imported here, as drawing takes a second to load
     report = import_module("stringcast.pipeline.run.report")
     try:
         report.write_report(experiment, result)

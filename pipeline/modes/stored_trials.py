@@ -1,4 +1,4 @@
-"""Read stored trials, of a run or of a dataset, for a new run."""
+"""Read stored trials of a run or dataset for a new run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.effects.time_offset import TimeOffset
 
-# Names of what a stored trial may hold, for the stages that read it.
+# artifacts that a stored trial may hold
 STORED_FILM = "trial"
 STORED_POINTS = "points"
 STORED_ARTIFACTS = {STORED_FILM: Film, STORED_POINTS: Points}
@@ -40,9 +40,9 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 def refuse_unlike_clocks(
     experiment: Experiment, folder: Path, observations: Sequence[Observation]
 ) -> None:
-    """Raise DataError for a dataset whose clocks are certainly not together.
+    """Raise DataError for a dataset with clearly different clocks.
 
-    A run, or a model with a clock offset, needs no test: the offset is known.
+    In a run, or with a clock offset in the model, the offset is known.
     """
     if is_run_folder(folder) or TimeOffset in experiment.model.effects:
         return
@@ -56,7 +56,7 @@ def refuse_unlike_clocks(
 
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
-    """Return the names of the trials that dataset.yaml holds out."""
+    """Return the names of held-out trials."""
     blocks = data.metadata.get("trials", {})
     return tuple(
         name for name, block in blocks.items() if block.get("role") == "held_out"
@@ -66,7 +66,7 @@ def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
 def history_of_dataset(
     data: dataset.Dataset, executor: Executor, graph: StageGraph
 ) -> History:
-    """Return the history of a run of stored trials, with the hashes of their files."""
+    """Return the history of a run on stored trials, with the hashes of their files."""
     hashes = {
         (data.folder / name).as_posix(): digest for name, digest in data.hashes.items()
     }
@@ -81,28 +81,28 @@ def read_trial(
     again: bool,
     consumer: str,
 ) -> Observation:
-    """Return a trial with its points, in an iteration of its own.
+    """Return a trial with its points, as a new iteration.
 
     Parameters
     ----------
     history : History
-        Where the iteration is added.
+        History to which the iteration is added.
     data : Dataset
         The stored trials.
     name : str
         Name of the trial.
     reading : sequence of str
-        Stages through which the trial goes. Those that take frames are left out if
-        there are no frames, or if points are stored.
+        Stages applied to the trial. Those that take frames are left out without frames,
+        or if points are stored.
     again : bool
-        Read the frames again where points are stored.
+        Extract points again even if points are stored.
     consumer : str
         Stage that takes the trial, with the points that are wired to it.
 
     Raises
     ------
     DataError
-        For a stage that takes what is only made from frames, without frames.
+        For a stage that needs frames, without frames.
     """
     stored, film = data.trials[name], data.films.get(name)
     reads_frames = film is not None and (stored.points.empty or again)
@@ -127,7 +127,7 @@ def read_trial(
 
 
 def names_of_read_points(reading: Sequence[str]) -> list[str]:
-    """Return the names under which points would be read from frames."""
+    """Return the artifact names of points extracted from frames."""
     specs = [stages()[name] for name in reading]
     names = [
         spec.folder

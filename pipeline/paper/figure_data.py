@@ -16,7 +16,7 @@ from stringcast.pipeline.paper.scores import median_with_interval
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.model.arm import Arm
 
-MOMENTS = 5  # times at which strings are drawn, up to the closest approach
+MOMENTS = 5  # times of drawn strings, up to the closest approach
 LINES = Table(
     "lines",
     "strings and arm at some moments of the casts, up to the closest approach",
@@ -91,7 +91,7 @@ def choose_typical_runs(runs: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     runs : DataFrame
-        Table RUNS of `scores`, of which only the runs that are done count.
+        Table RUNS of `scores`; only finished runs count.
     """
     done = runs[runs["state"] == "done"].sort_values("seed")
     median = done.groupby("condition")["hit_at"].transform(
@@ -105,7 +105,7 @@ def cast_tables(
 ) -> dict[str, pd.DataFrame]:
     """Return CAST_TABLES of a study by name.
 
-    runs: those that are drawn, from `choose_typical_runs`. casts: table CASTS.
+    runs: from `choose_typical_runs`. casts: table CASTS.
     """
     parts: dict[str, list[pd.DataFrame]] = {table.name: [] for table in CAST_TABLES}
     for run in runs.itertuples():

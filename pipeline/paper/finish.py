@@ -1,4 +1,4 @@
-"""Write the study's tables and figures, and a page that compares with the paper."""
+"""Write tables and figures of the study, and a page that compares with the paper."""
 
 from __future__ import annotations
 

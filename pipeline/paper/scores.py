@@ -1,4 +1,4 @@
-"""Hit rates and casts needed, from the records of runs, and the paper's numbers."""
+"""Hit rates and needed casts of runs, and the paper's numbers."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ NUMBERS = Table(
 
 
 def read_printed_numbers() -> pd.DataFrame:
-    """Read the table of the numbers that the paper prints."""
+    """Read the table of the paper's printed numbers."""
     return NUMBERS.check(pd.read_csv(NUMBERS_FILE), str(NUMBERS_FILE))
 
 
@@ -139,12 +139,12 @@ def read_casts(ledger: Ledger, key: str) -> list[dict[str, Any]]:
 
 
 def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:
-    """Return the checked table of some rows, which may be none."""
+    """Return the checked table of rows, possibly without any."""
     return table.check(pd.DataFrame(rows)) if rows else table.empty()
 
 
 def add_pooled_experiment(runs: pd.DataFrame) -> pd.DataFrame:
-    """Append the runs of three strings and three targets as one experiment to RUNS."""
+    """Append the runs of three strings and three targets as a pooled experiment."""
     pooled = runs[runs["condition"].isin(POOLED_EXPERIMENTS)]
     return pd.concat([runs, pooled.assign(condition=POOL_NAME)], ignore_index=True)
 

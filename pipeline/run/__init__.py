@@ -1,1 +1,1 @@
-"""Run."""
+"""Runs: experiments, steps, results and their folders."""

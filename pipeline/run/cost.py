@@ -1,8 +1,8 @@
-"""Estimate what the steps of a run cost, and ask before one takes hours.
+"""Estimate the cost of a run's steps, and ask before one takes hours.
 
 The estimates are rough: processor time is proportional to the points and steps of all
-simulated strings, or to the pixels of all frames. A function of a stage declares how
-many strings it simulates (`stages.spec`); one that declares none counts as free.
+simulated strings, or to the pixels of all frames. A stage function declares how many
+strings it simulates (`stages.spec`); otherwise it counts as free.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ LIMIT = "max_core_hours"
 ESTIMATION = "estimate"  # the stage to which `trials_used` applies
 HOUR_S = 3600.0
 # Measured with the paper's strings on one core (tests/benchmarks/speed/README.md).
-POINT_STEP_S = 2e-8  # [s] a mass point in one step of the simulation
-PIXEL_S = 3e-8  # [s] a pixel of a frame, rendered or read
+POINT_STEP_S = 2e-8  # [s] per mass point and simulation step
+PIXEL_S = 3e-8  # [s] per rendered or read pixel
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class StepCost:
     core_hours : float
         Processor time [h].
     settings : mapping
-        What it depends on: settings with their values.
+        Settings that determine the cost, with values.
     """
 
     stage: str
@@ -51,7 +51,7 @@ class StepCost:
     settings: Mapping[str, Any]
 
     def describe(self) -> str:
-        """Return the cost with what it depends on."""
+        """Describe the cost with the settings that determine it."""
         causes = [f"{name} = {value}" for name, value in self.settings.items()]
         return (
             f"stage {self.stage} would take some {self.core_hours:.3g} h of a core "
@@ -72,16 +72,16 @@ def ask_about_cost(
     experiment : Experiment
         What the run works with.
     limit_hours : float
-        Limit of this computer's user, not that of a stored run [h].
+        Limit of this user, not of a stored run [h].
     console : Terminal
         Where the question is shown.
     consent : str
-        What a person adds to the call, before a number of hours, to agree.
+        Option by which a person agrees, without the number of hours.
 
     Raises
     ------
     UserError
-        If nobody is at the terminal, or the answer is no.
+        Without a terminal, or if the answer is no.
     """
     costs = estimate_costs(experiment)
     if not costs:
@@ -101,7 +101,7 @@ def ask_about_cost(
 
 
 def estimate_costs(experiment: Experiment) -> list[StepCost]:
-    """Return the cost of a step of each stage of a run; nothing for a calibration."""
+    """Return the cost of a step for each stage; empty for a calibration."""
     config = experiment.config
     names = experiment.mode.graph(config).stages
     if not names:
@@ -125,16 +125,16 @@ def estimate_costs(experiment: Experiment) -> list[StepCost]:
 
 @dataclass(frozen=True)
 class Trials:
-    """Trials that are planned or stored.
+    """Planned or stored trials.
 
     Parameters
     ----------
     seconds : tuple of float
         Duration of each [s].
     frames : float
-        Largest number of frames of one.
+        Largest number of frames of a trial.
     settings : mapping
-        Settings on which both depend, with their values.
+        Settings that determine both, with values.
     """
 
     seconds: tuple[float, ...]
@@ -143,7 +143,7 @@ class Trials:
 
 
 def _planned_trials(config: Settings, names: Sequence[str]) -> Trials:
-    """Return the trials of casts, each as long as the longest movement."""
+    """Return planned casts, each as long as the longest movement."""
     movements = []
     if "excite" in names:
         movements.append("excite.duration")
@@ -160,7 +160,7 @@ def _planned_trials(config: Settings, names: Sequence[str]) -> Trials:
 
 
 def _given_numbers(config: Settings, names: Sequence[str]) -> dict[str, float]:
-    """Return those of some settings that are numbers, by name."""
+    """Return the named settings that are numbers."""
     numbers = {}
     for name in names:
         value = setting_of(config, name)
@@ -185,7 +185,7 @@ def _stored_trials(folder: Path) -> Trials:
 def _simulation_cost(
     experiment: Experiment, name: str, counts: Mapping[str, float], trials: Trials
 ) -> StepCost:
-    """Return the cost of a stage that simulates so many strings."""
+    """Return the cost of a stage that simulates strings."""
     config, string = experiment.config, experiment.string
     block = config[name]
     if stages()[name].collected_input:
@@ -206,7 +206,7 @@ def _simulation_cost(
 
 
 def _frame_cost(experiment: Experiment, name: str, trials: Trials) -> StepCost:
-    """Return the cost of a stage that renders or reads every pixel of a trial."""
+    """Return the cost of a stage that renders or reads all frames of a trial."""
     camera = experiment.camera
     core_seconds = trials.frames * camera.width * camera.height * PIXEL_S
     sizes = {"width": camera.width, "height": camera.height, "fps": camera.fps}

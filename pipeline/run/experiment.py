@@ -1,4 +1,4 @@
-"""From a composed configuration to the objects and stages of one run."""
+"""Build the objects and stages of a run from its settings."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ ALL_TRIALS = "all"  # a value of `trials_used`
 
 
 class Mode(ABC):
-    """A loop over stages, which the setting `mode` chooses."""
+    """A loop over stages, chosen by the setting `mode`."""
 
     @abstractmethod
     def perform(
         self, experiment: Experiment, folder: Path, console: Terminal
     ) -> RunResult:
-        """Perform the whole run, reuse what its folder holds, and show the result.
+        """Perform the run, reuse stored steps, and show the result.
 
         Parameters
         ----------
@@ -70,12 +70,12 @@ class Mode(ABC):
 
     @abstractmethod
     def check(self, experiment: Experiment) -> None:
-        """Refuse settings with which the mode cannot work, before anything is written.
+        """Refuse settings that do not fit the mode, before anything is written.
 
         Raises
         ------
         UserError, DataError
-            With the setting and the remedy.
+            Naming the setting and the remedy.
         """
 
     def graph(self, config: Settings) -> StageGraph:
@@ -93,27 +93,27 @@ class Mode(ABC):
         return False
 
     def picture_sources(self, config: Settings) -> tuple[str, ...]:
-        """Return the blocks of settings that name sources of pictures in use."""
+        """Return the blocks of settings with the picture sources in use."""
         films = config["hardware"].get("source") is not None
         return ("source",) if films and self.moves_arm(config) else ()
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """The objects that a run works with; implements `stages.spec.StageSetup`.
+    """The objects of a run; implements `stages.spec.StageSetup`.
 
     Parameters
     ----------
     config : mapping
         All settings of the run.
     model : Model
-        String, arm and camera with the effects that are modelled.
+        String, arm and camera with the modelled effects.
     target : Target
-        Where the tip must go.
+        Target of the tip.
     obstacles : tuple of Box
         What the string must not touch.
     stages : mapping
-        Functions with their settings bound, by the name of the stage.
+        Functions with bound settings, by stage.
     mode : Mode
         Loop over the stages.
     """
@@ -147,7 +147,7 @@ class Experiment:
 
     @property
     def effects_per_recording(self) -> list[str]:
-        """Effects whose values differ from one trial to another."""
+        """Effects whose values vary between trials."""
         return list(self.config["effects_per_recording"])
 
     def lab(self, trial: int) -> Lab:
@@ -172,7 +172,7 @@ class Experiment:
 
 
 def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
-    """Check all settings and build what a run needs, before anything moves.
+    """Check all settings and build the experiment, before anything moves.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
 
 
 def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
-    """Build what the string must not touch."""
+    """Build the obstacles."""
     boxes = require_block(block, "obstacles", where)["boxes"]
     if not isinstance(boxes, list):
         setting = f"obstacles.boxes = {boxes!r} ({where})"
@@ -216,17 +216,14 @@ def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
 
 
 def holds_only_inputs(block: Any) -> bool:
-    """Return whether a stage's block names sources of its inputs and no function."""
+    """Return whether a stage's block names only sources of inputs."""
     return isinstance(block, Mapping) and set(block) == {"inputs"}
 
 
 def refuse_lacking_settings(
     names: Iterable[str], functions: Mapping[str, Any], where: str
 ) -> None:
-    """Raise UserError for a stage of a run that has no settings but needs a function.
-
-    Before anything moves: without its function, such a stage could not run.
-    """
+    """Raise UserError for a stage without the settings of its function."""
     for name in names:
         if stages()[name].by and name not in functions:
             options = [file.stem for file in group_files(name)] or ["..."]

@@ -11,10 +11,10 @@ LOG_FILE = "run.log"
 
 
 def artifact_folder(number: int, artifact: str = "") -> Path:
-    """Return the folder of an iteration, or of one of its artifacts, within a run."""
+    """Return the folder of an iteration or an artifact within a run."""
     return Path("iterations") / f"{number:02d}" / artifact
 
 
 def kept_folder(artifact: Path) -> Path:
-    """Return the folder of results that a step of this folder has reached so far."""
+    """Return the folder of intermediate results of a step."""
     return artifact.with_name(f".{artifact.name}.kept")

@@ -1,4 +1,4 @@
-"""Hold the iterations of a run and the steps of which each consists."""
+"""The iterations of a run and their steps."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from stringcast.stages.hit_test import HitResult  # which loads SciPy
 
 ArtifactT = TypeVar("ArtifactT")
-LOOK_NUMBER = 0  # of the trial that shows the string before the first cast
+LOOK_NUMBER = 0  # number of the slow trial before the first cast
 
 
 @dataclass(frozen=True)
 class Step:
-    """A stage that runs in an iteration.
+    """One execution of a stage in an iteration.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Step:
     inputs : mapping
         Artifacts by name.
     input_folders : tuple of Path
-        Folders of the inputs that this run made, relative to its folder.
+        Folders of inputs made by this run, relative to its folder.
     file_hashes : mapping
         Content hashes of files elsewhere, by path.
     """
@@ -63,9 +63,9 @@ class Iteration:
     Parameters
     ----------
     number : int
-        Number of a cast or stored trial, from 1; 0 of the look at the string before.
+        Number of a cast or stored trial, from 1; 0 for the look before the first.
     artifacts : dict
-        Artifacts that the steps made, by name.
+        Artifacts made by steps, by name.
     verdict : HitResult, optional
         Whether the tip hit.
     custom_trial_name : str
@@ -82,7 +82,7 @@ class Iteration:
 
     @property
     def is_look(self) -> bool:
-        """Whether it is the trial before the first cast that shows the string."""
+        """Whether it is the slow trial before the first cast."""
         return self.number == LOOK_NUMBER
 
     @property
@@ -101,7 +101,7 @@ class Iteration:
         return self.given_artifacts | self.artifacts
 
     def find(self, kind: type[ArtifactT]) -> ArtifactT | None:
-        """Return the artifact of a kind that a stage made last, else a given one."""
+        """Return the newest artifact of a kind, or else a given one."""
         for artifacts in (self.artifacts, self.given_artifacts):
             for artifact in reversed(artifacts.values()):
                 if isinstance(artifact, kind):
@@ -123,7 +123,7 @@ class Iteration:
 
     @property
     def refusal_reason(self) -> str:
-        """Reason why its trial cannot be trusted; empty if it can."""
+        """Reason why its trial is not used; empty if it is."""
         trial = self.find(Trial)
         if trial is None:
             return ""
@@ -137,12 +137,12 @@ class Iteration:
 
     @property
     def has_hit(self) -> bool:
-        """Whether the tip reached the target in a trial that can be trusted."""
+        """Whether the tip reached the target in a valid trial."""
         return self.verdict is not None and self.verdict.hit and not self.refusal_reason
 
     @property
     def observation(self) -> Observation:
-        """The trial with the points that were made last."""
+        """The trial with the newest points."""
         trial, points = self.find(Trial), self.find(Points)
         assert trial is not None
         assert points is not None
@@ -158,7 +158,7 @@ class Iteration:
 class Executor(Protocol):
     """Source of the artifacts of steps.
 
-    A run makes and stores them, `verify` computes them again, `why` looks for changes.
+    A run makes and stores them, `verify` recomputes them, `why` compares them.
     """
 
     def obtain(self, step: Step) -> Any:
@@ -181,7 +181,7 @@ class History:
     file_hashes : mapping
         Content hashes of stored trials by path.
     graph : StageGraph
-        From which stage each input comes.
+        Sources of all inputs.
     first_number : int
         Number of the first iteration.
     """
@@ -244,7 +244,7 @@ class History:
     def _find_inputs(self, stage: StageSpec) -> tuple[dict[str, Any], list[Path]]:
         """Find the inputs of a stage in the last iteration, or in earlier ones.
 
-        Returns the artifacts by name, and the folders of those that this run made.
+        Returns artifacts by name, and folders of those made by this run.
         """
         available = [iteration.available for iteration in self.iterations]
         inputs: dict[str, Any] = {}
@@ -272,7 +272,7 @@ class History:
         return inputs, folders
 
     def folders_of(self, number: int, names: Sequence[str]) -> list[Path]:
-        """Return the folders of those artifacts that this run made in an iteration."""
+        """Return the folders of artifacts made by this run in an iteration."""
         artifacts = self.iterations[number - self.first_number].artifacts
         return [artifact_folder(number, name) for name in names if name in artifacts]
 
@@ -297,10 +297,7 @@ class History:
     def _wired_part(
         self, iteration: Iteration, stage: str, kind: type[ArtifactT]
     ) -> ArtifactT:
-        """Return the artifact that a stage takes of a trial, else the last of a kind.
-
-        A stage need not take all parts of the trials.
-        """
+        """Return the artifact wired to a stage, or else the newest of its kind."""
         for wanted in stages()[stage].inputs.values():
             if isinstance(wanted, CollectedTrials):
                 for source in self.graph.part_names(stage, wanted):

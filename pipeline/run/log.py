@@ -1,6 +1,6 @@
 """The log of a run: its decisions with times and reasons.
 
-It goes into run.log, and with -v to the terminal.
+It is written to run.log, and with -v to the terminal.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.run.file_names import LOG_FILE
 
 LOGGER = logging.getLogger("stringcast")
-LOGGER.propagate = False  # handlers of others may have closed what they write to
+LOGGER.propagate = False  # handlers of other packages may have closed their streams
 LOGGER.addHandler(logging.NullHandler())
 
 
 class PrintableFormatter(logging.Formatter):
-    """A formatter that escapes control characters, which could steer the terminal."""
+    """A formatter that escapes control characters, which act on a terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record with control characters escaped."""
@@ -44,11 +44,10 @@ class ForwardingHandler(logging.Handler):
 
 
 class LossyFileHandler(logging.FileHandler):
-    """A log file on a disk that may be full: it loses lines rather than stop a run."""
+    """A log file that loses lines on a full disk instead of stopping the run."""
 
     def _open(self) -> TextIOWrapper:
-        # A link in the folder of somebody else could lead into any file of the user,
-        # and a pipe would block.
+        # A link in a foreign folder could overwrite any file; a pipe would block.
         no_link = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
         def open_file(path: str, flags: int) -> int:
@@ -57,7 +56,7 @@ class LossyFileHandler(logging.FileHandler):
         return open(self.baseFilename, "a", encoding="utf-8", opener=open_file)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write the line of a record if the disk takes it."""
+        """Write the line of a record if possible."""
         with suppress(OSError):
             super().emit(record)
 

@@ -1,10 +1,9 @@
-"""The origin of a stored step, and whether it would be made the same now.
+"""The origin of a stored step, and whether the step is stale.
 
 The footer of a stored table holds settings, seed, inputs, code and packages. A step is
 stale if the content of an input, a setting, the code or a package differs from its
-footer. The code counts as a whole, by one digest: which of its files a step uses is not
-known for certain, and a step that is needlessly stale costs time, while one that is
-wrongly fresh costs trust. Dates do not count.
+footer. All code counts, by one digest, as the files used by a step are not known for
+certain: a step that is stale without need costs only time. Dates do not count.
 """
 
 from __future__ import annotations
@@ -41,15 +40,15 @@ RECORDED_PACKAGES = (
     "cmaes",
     "pydantic",
 )
-MAX_SOURCE_BYTES = 2**26  # [bytes] of a file of a plugin whose content counts
+MAX_SOURCE_BYTES = 2**26  # [bytes]: of larger plugin files only the size counts
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
 VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
-# without one of them, a footer does not say what made its file
+# required parts of an origin
 PARTS_OF_ORIGIN = {"step", "seed", "inputs", "config", "code", "packages", "python"}
 UNKNOWN_CODE = {"commit": "unknown", "source": "unknown"}
 ABSENT_VALUE = "absent"
 CODE_NAME = "the code"
-HASHED_KINDS = ("input ", CODE_NAME)  # their values are hashes, which are not shown
+HASHED_KINDS = ("input ", CODE_NAME)  # hash values, not shown
 
 
 # --- origin of a step
@@ -58,7 +57,7 @@ HASHED_KINDS = ("input ", CODE_NAME)  # their values are hashes, which are not s
 def step_origin(
     config: Mapping[str, Any], step: str, seed: int, inputs: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the origin of a stage's step: all that is needed to make it again.
+    """Return the origin of a step: everything needed to make it again.
 
     config: all settings of the run. inputs: content hashes by path.
     """
@@ -80,7 +79,7 @@ def software_versions() -> dict[str, dict[str, str]]:
 
 @cache  # reads a file each time
 def package_version(name: str) -> str:
-    """Return the version of an installed package; `absent` for one of an extra."""
+    """Return the version of a package; `absent` if not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -97,7 +96,7 @@ def code_state() -> dict[str, str]:
 
 @cache
 def code_state_with(plugins: tuple[Path, ...]) -> dict[str, str]:
-    """Return the state of the code while the plugins in these folders are named."""
+    """Return the state of the code with the plugins in these folders."""
     sources = plugin_sources()
     for folder in CODE_FOLDERS:
         for file in (PROJECT_FOLDER / folder).rglob("*.py"):
@@ -155,7 +154,7 @@ def load_step_with_staleness(
     step: Step,
     hash_of: Callable[[Path], str] = store.content_hash,
 ) -> StoredStep:
-    """Load a step from a run's folder, with all that has changed since it was made.
+    """Load a step from a run's folder, with the changes since it was made.
 
     config: all settings of the run. hash_of: returns the content hash of a folder.
     """
@@ -176,7 +175,7 @@ def load_step_with_staleness(
     current = current_origin(config, folder, step, hash_of)
     counting = [*step.stage.uses, f"{step.stage.name}.{INPUTS_SETTING}"]
     if step.stage.run.startswith(PLUGIN_PREFIX):
-        counting.append("seed")  # it is given one, whether it says so or not
+        counting.append("seed")  # every plugin stage gets the seed
     try:
         reasons += origin_changes(stored, current, counting)
     except KeyError as error:
@@ -203,7 +202,7 @@ def current_origin(
 def stale_reasons(
     folder: Path, step_folder: Path, settings: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """Return why a stored step would be made again, without building a model.
+    """Return why a stored step is stale, without building a model.
 
     Parameters
     ----------
@@ -227,7 +226,7 @@ def stale_reasons(
 def input_hashes(
     folder: Path, paths: Iterable[str], trials: str | None
 ) -> dict[str, str]:
-    """Return the content hashes of paths in a run's folder or in that of its trials.
+    """Return the content hashes of paths in the folders of a run and its trials.
 
     Parameters
     ----------
@@ -242,7 +241,7 @@ def input_hashes(
     if trials is not None:
         allowed_folders.append(Path(trials).resolve())
     hashes = {}
-    hash_of = cache(store.content_hash)  # a footer may name a folder many times
+    hash_of = cache(store.content_hash)  # a footer may name a folder repeatedly
     for name in paths:
         path = folder / name if name.startswith("iterations/") else Path(name)
         path = path.resolve()
@@ -255,9 +254,9 @@ def input_hashes(
 
 
 def holds_frames_of(folder: Path, trials: str | None) -> bool:
-    """Return whether a folder of a dataset may hold frames: it has no folders itself.
+    """Return whether a folder belongs to a dataset and has no subfolders.
 
-    Of another folder, which somebody else's settings may name, nothing is read.
+    Foreign settings may name any folder; others must not be read.
     """
     if trials is None or not (Path(trials) / "dataset.yaml").is_file():
         return False
@@ -267,9 +266,9 @@ def holds_frames_of(folder: Path, trials: str | None) -> bool:
 def origin_changes(
     stored: Mapping[str, Any], current: Mapping[str, Any], uses: Sequence[str]
 ) -> Iterator[str]:
-    """Yield the differences of two origins, a line each, without the hashes.
+    """Yield the differences of two origins, a line each, without hashes.
 
-    uses: the settings that count.
+    uses: the settings to compare.
     """
     as_stored = json.loads(json.dumps(current))  # JSON has no tuples
     before_and_after = decisive_values(stored, uses), decisive_values(as_stored, uses)
@@ -285,7 +284,7 @@ def origin_changes(
 
 
 def decisive_values(origin: Mapping[str, Any], uses: Sequence[str]) -> dict[str, Any]:
-    """Return all parts of an origin that decide about the artifact, by name."""
+    """Return all parts of an origin that determine the artifact, by name."""
     values = {f"input {name}": digest for name, digest in origin["inputs"].items()}
     for name in uses:
         values |= flatten_settings(setting_of(origin["config"], name), name)
@@ -305,7 +304,7 @@ def setting_of(config: Mapping[str, Any], name: str) -> Any:
 def differing_values(
     first: Mapping[str, Any], second: Mapping[str, Any]
 ) -> list[tuple[str, Any, Any]]:
-    """Return the names whose values differ with both values, or ABSENT_VALUE."""
+    """Return the differing values by name, with ABSENT_VALUE for missing ones."""
     differing = []
     for name in dict.fromkeys([*first, *second]):
         values = first.get(name, ABSENT_VALUE), second.get(name, ABSENT_VALUE)
@@ -315,17 +314,17 @@ def differing_values(
 
 
 def arm_is_virtual(config: Mapping[str, Any]) -> bool:
-    """Return whether trials can be made again, unlike those of a real arm."""
+    """Return whether the arm is virtual, so that trials can be repeated."""
     return str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
 
 
 def arm_has_executed(
     config: Mapping[str, Any], folder: Path, number: int, stage: str, graph: StageGraph
 ) -> bool:
-    """Return whether a real arm has moved by an artifact of an iteration.
+    """Return whether a real arm has executed a motion that depends on an artifact.
 
-    Such an artifact is kept, for measurements depend on it: that of a stage before the
-    movement of its iteration, and all of earlier iterations.
+    Such artifacts are kept: those of stages before the movement of the iteration, and
+    of all earlier iterations.
 
     Parameters
     ----------

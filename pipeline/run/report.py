@@ -1,4 +1,4 @@
-"""Collect what a run has made and write its report."""
+"""Collect the results of a run and write its report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from stringcast.stages.spec import StageSpec
 
 
 def write_report(experiment: Experiment, result: RunResult) -> None:
-    """Write `report.html` in the run's folder: the page of a stage, or of casts."""
+    """Write `report.html` of a run: the page of a stage or of casts."""
     if result.stage is None:
         page = cast_page(collect_casts(experiment, result))
         write_text(result.folder / "report.html", page)
@@ -103,11 +103,11 @@ def collect_cast(
     Parameters
     ----------
     model : Model
-        As configured.
+        The configured model.
     iteration : Iteration
         The cast, with its motion, trial and points.
     previous : Estimate, optional
-        Estimate with which the motion was generated.
+        Estimate used to generate the motion.
     """
     motion, trial = iteration.find(Motion), iteration.find(Trial)
     points, estimate = iteration.find(Points), iteration.find(Estimate)
@@ -129,7 +129,7 @@ def collect_cast(
 
 
 def next_commands(commands: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
-    """Return purpose and text of the commands that a page offers.
+    """Return purpose and text of the commands offered on a page.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def commands_after_diagnosis(
 
 
 def page_provenance(experiment: Experiment) -> dict[str, Any]:
-    """Return the provenance that a page shows."""
+    """Return the provenance shown on a page."""
     graph = experiment.mode.graph(experiment.config)
     stages = {"stages": graph.describe_sources()}
     return {"seed": experiment.seed} | stages | software_versions()

@@ -41,7 +41,7 @@ class RunResult:
     sentence : str
         The outcome in words.
     stage : StageSpec, optional
-        Stage whose artifact the run was for, if it was for one.
+        Stage whose artifact is the result of the run, if any.
     """
 
     folder: Path
@@ -51,7 +51,7 @@ class RunResult:
 
     @property
     def final_artifact(self) -> Any:
-        """Artifact that the run was for."""
+        """Artifact that is the result of the run."""
         assert self.stage is not None
         return self.iterations[-1].artifacts[self.stage.folder]
 
@@ -70,7 +70,7 @@ class RunResult:
 
 
 def run_summary(result: RunResult) -> dict[str, Any]:
-    """Return the run in a few numbers, the content of run.json."""
+    """Return the content of run.json."""
     rows: list[dict[str, Any]] = []
     summary = {"hit": result.has_hit, "sentence": result.sentence, "iterations": rows}
     for iteration in result.iterations:
@@ -83,7 +83,7 @@ def run_summary(result: RunResult) -> dict[str, Any]:
 
 
 def iteration_summary(iteration: Iteration) -> dict[str, Any]:
-    """Return an iteration in a few numbers; None for what is not finite."""
+    """Return the summary of an iteration; None for values that are not finite."""
     verdict, estimate = iteration.verdict, iteration.find(Estimate)
     fit: Any = {} if estimate is None else estimate.fit.iloc[0]
     row = {
@@ -121,7 +121,7 @@ def iteration_summary(iteration: Iteration) -> dict[str, Any]:
 def read_summary(folder: Path) -> dict[str, Any]:
     """Read run.json of a run's folder; empty for a run that has not ended.
 
-    Raises DataError if it is damaged or has another shape: others may have written it.
+    Raises DataError if it is damaged or malformed, as it may be foreign.
     """
     path = folder / SUMMARY_FILE
     summary = read_json(path) if path.is_file() else {}
@@ -138,7 +138,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def has_types(values: Any, types: Mapping[str, Any]) -> bool:
-    """Return whether values by name have these types, and their numbers are finite."""
+    """Return whether values have these types, with finite numbers."""
     if not isinstance(values, Mapping):
         return False
     for name, kind in types.items():

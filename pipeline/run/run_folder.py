@@ -1,10 +1,9 @@
-"""A run's folder: steps are made once and kept, each whole before the next begins.
+"""A run's folder: steps are made once, and each is complete before the next begins.
 
-A step that is there and fresh is read, not made again: an interrupted run goes on where
-it stopped, with the same result, for every step's seed is its own. One that is stale or
-damaged is made again, unless a real arm has moved by it, and so is one that was
-interrupted and ended with what it knew, which no other follows. `run.json` is there if,
-and only if, the run has ended.
+A fresh step is read, not made again. Each step has its own seed, so an interrupted run
+continues to the same result. A stale or damaged step is made again, unless a real arm
+has executed it. A step that was interrupted with a preliminary result is also made
+again. `run.json` exists if, and only if, the run has ended.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ FILES_OF_EMPTY_RUN = {"config.json", LOCK_FILE, FAILURE_FILE, LOG_FILE}
 
 @dataclass
 class RunFolder:
-    """An executor that makes the steps of a run and keeps them in its folder.
+    """An executor that makes the steps of a run and stores them in its folder.
 
     Parameters
     ----------
@@ -71,11 +70,11 @@ class RunFolder:
     graph : StageGraph
         Graph of its stages.
     bar : callable
-        Makes the progress bar of a step, by its name.
+        Creates the progress bar of a step from its name.
     notify : callable
         Tells the user about a step that is made again.
     interrupted : bool
-        A step was interrupted and ended with what it knew.
+        A step was interrupted and stored a preliminary result.
     hashes : dict
         Content hashes of steps by their folders.
     """
@@ -89,7 +88,7 @@ class RunFolder:
     hashes: dict[Path, str] = field(default_factory=dict, repr=False)
 
     def content_hash(self, folder: Path) -> str:
-        """Return the content hash of a step's folder, which is read once."""
+        """Return the content hash of a step's folder, read once."""
         if folder not in self.hashes:
             self.hashes[folder] = store.content_hash(folder)
         return self.hashes[folder]
@@ -110,7 +109,7 @@ class RunFolder:
         if not folder.is_dir():
             return self._make_artifact(step, folder)
 
-        # a stale step is used all the same if a real arm has moved by it
+        # a stale step is still used if a real arm has executed it
         reasons = "; ".join(stored.stale_reasons)
         number, stage = step.number, step.stage.name
         if not arm_has_executed(config, self.folder, number, stage, self.graph):
@@ -154,10 +153,10 @@ class RunFolder:
         return stored
 
     def publish(self, iterations: list[Iteration]) -> None:
-        """Write the run as a dataset that others can read.
+        """Write the run as a dataset.
 
-        A dataset that holds these trials already stays: no reader of a finished run is
-        to see fewer of them.
+        A dataset with at least these trials stays, so that no reader of a finished run
+        sees fewer.
         """
         iterations = [it for it in iterations if it.measurement_names]
         if not iterations:
@@ -176,10 +175,9 @@ class RunFolder:
 
 @contextmanager
 def exclusive_access(folder: Path) -> Iterator[None]:
-    """Lock a run's folder, which is made if it does not exist.
+    """Lock a run's folder, and make it if it does not exist.
 
-    A folder in which a failed run made nothing is removed again, unless something was
-    in it before.
+    If a failed run made nothing, the folder is removed, unless it had content before.
 
     Raises DataError if the folder holds a link, is in use, or cannot be written.
     """
@@ -207,7 +205,7 @@ def exclusive_access(folder: Path) -> Iterator[None]:
 def refuse_links(folder: Path) -> None:
     """Refuse a run's folder that holds a link.
 
-    Through a link, a run of others could write and remove files anywhere.
+    Through a link, a foreign run could write and remove files anywhere.
     """
     for place, folders, files in os.walk(folder):
         for name in (*folders, *files):
@@ -225,7 +223,7 @@ def file_names_in(folder: Path) -> set[str]:
 
 
 def begin_run(experiment: Experiment, folder: Path) -> None:
-    """Write the settings to the run's folder, or check that they are the same."""
+    """Write the settings to the run's folder, or require equal ones in it."""
     path = folder / "config.json"
     text = json.dumps(experiment.config, indent=2, sort_keys=True)
     stored = path.read_text(encoding="utf-8") if path.exists() else None
@@ -240,7 +238,7 @@ def begin_run(experiment: Experiment, folder: Path) -> None:
 
 
 def write_stage_files(result: RunResult) -> None:
-    """Write the files of the stage that the run was for."""
+    """Write the files of the run's final stage."""
     if result.stage is None:
         return
     next_folder = artifact_folder(result.iterations[-1].number + 1)
@@ -250,7 +248,7 @@ def write_stage_files(result: RunResult) -> None:
 
 
 def write_summary(result: RunResult) -> None:
-    """Write run.json, the run in a few numbers."""
+    """Write run.json."""
     text = json.dumps(run_summary(result), indent=2)
     store.write_text(result.folder / SUMMARY_FILE, text)
 
@@ -258,7 +256,7 @@ def write_summary(result: RunResult) -> None:
 def remove_frames(experiment: Experiment, result: RunResult) -> None:
     """Remove the frames of a run that has ended.
 
-    Frames of a real camera stay: they cannot be filmed again.
+    Frames of a real camera stay, as they cannot be filmed again.
     """
     if not arm_is_virtual(experiment.config):
         return
@@ -271,7 +269,7 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
 
 
 def image_folders(trial: Trial, folder: Path) -> list[Path]:
-    """Return the folders of images within that of a trial."""
+    """Return the image folders of a trial."""
     names = {Path(file).parts[0] for file in trial.frames["file"]}
     return [path for path in folder.iterdir() if path.is_dir() and path.name in names]
 
@@ -288,7 +286,7 @@ def lacks_frames(result: RunResult) -> bool:
 
 @contextmanager
 def record_failure(folder: Path) -> Iterator[None]:
-    """Write in the folder why a run stopped, if it can be written."""
+    """Write into the folder why a run stopped, if possible."""
     try:
         yield
     except Exception as error:
@@ -298,7 +296,7 @@ def record_failure(folder: Path) -> Iterator[None]:
 
 
 def remove_empty_folder(folder: Path) -> None:
-    """Remove the folder of a run that was refused before it began, if it is empty."""
+    """Remove the empty folder of a run that was refused before it began."""
     with suppress(OSError):
         folder.rmdir()
 

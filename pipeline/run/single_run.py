@@ -1,7 +1,4 @@
-"""One run, or one job of a sweep, from its settings to its end.
-
-It shows the run on the terminal and keeps it in the run's folder.
-"""
+"""One run, or one job of a sweep, with output on the terminal and in its folder."""
 
 from __future__ import annotations
 
@@ -40,12 +37,12 @@ from stringcast.pipeline.settings.settings_from_runs import (
 from stringcast.pipeline.settings.typed_settings import refuse_odd_paths
 from stringcast.stages.workers import use_workers
 
-# it warns about names of trials that look like dates
+# do not warn about trial names that look like dates
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
 def main(config: DictConfig) -> float | None:
-    """Perform a run, or one job of a sweep, from the settings that Hydra composed.
+    """Perform a run, or one job of a sweep, from Hydra's settings.
 
     Returns
     -------
@@ -76,7 +73,7 @@ def main(config: DictConfig) -> float | None:
 
 
 def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
-    """Check the settings, above all those that move an arm, then perform the run."""
+    """Check the settings, especially those that move an arm, then run."""
     own_settings: Any = OmegaConf.to_container(config, resolve=True)
     refuse_odd_paths(own_settings, "the command line")
     given = given_names(HydraConfig.get().overrides.task)
@@ -93,7 +90,7 @@ def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
 
 
 def file_of_block(block: str) -> str:
-    """Return the file from which a block of settings comes, for messages."""
+    """Return the file of a block of settings, for messages."""
     hydra_config = HydraConfig.get()
     option = hydra_config.runtime.choices.get(block)
     file = f"conf/{block}/{option}.yaml" if option else "conf/config.yaml"
@@ -107,7 +104,7 @@ def file_of_block(block: str) -> str:
 
 
 def perform_run(experiment: Experiment, folder: Path, console: Terminal) -> RunResult:
-    """Perform a run in its folder; steps that are stored and fresh are not repeated."""
+    """Perform a run in its folder; do not repeat fresh steps."""
     workers = use_workers(experiment.config["workers"])
     with run_folder.exclusive_access(folder), log_to_folder(folder), workers:
         run_folder.begin_run(experiment, folder)

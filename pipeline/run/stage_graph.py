@@ -1,8 +1,8 @@
-"""The graph of a run: from which stage each input of a stage comes.
+"""The graph of a run: the source of each input of a stage.
 
-A stage states the kinds of its inputs. An input comes from the last stage before it, in
-the order of the mode, that makes an artifact of its kind. The setting `inputs` of a
-stage names another one, as in `estimate.inputs.points=extract`.
+A stage states the kinds of its inputs. The source is the last stage before it, in the
+order of the mode, that makes an artifact of this kind. The setting `inputs` of a stage
+can name another one, as in `estimate.inputs.points=extract`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Kind = type | UnionType
 
 
 class Port(NamedTuple):
-    """A place at a stage that an artifact fills: an input, or a part of its trials.
+    """An input of a stage, or a part of its trials.
 
-    name, kind: of the artifact. is_earlier: it comes from an earlier iteration, and
-    may be absent.
+    name, kind: of the artifact. is_earlier: the artifact comes from an earlier
+    iteration, and may be absent.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Connection:
     stage, port : str
         Stage and name of its input.
     source : str
-        Stage that makes the artifact; empty if the run is given it.
+        Stage that makes the artifact; empty for a given artifact.
     artifact : str
         Name of the artifact in an iteration.
     is_earlier : bool
@@ -56,7 +56,7 @@ class Connection:
     is_earlier: bool
 
     def describe(self) -> str:
-        """Return which input comes from where."""
+        """Describe the input and its source."""
         source = f"of {self.source}" if self.source else "of the stored trial"
         earlier = " in an earlier iteration" if self.is_earlier else ""
         return f"{self.port} {source}{earlier}"
@@ -70,18 +70,18 @@ class StageGraph:
     connections: tuple[Connection, ...] = ()
 
     def artifact_name(self, stage: str, port: str) -> str:
-        """Return the name of the artifact that fills an input, else the input's own."""
+        """Return the artifact name of an input, or else the input's name."""
         for connection in self.connections:
             if (connection.stage, connection.port) == (stage, port):
                 return connection.artifact
         return port
 
     def part_names(self, stage: str, trials: CollectedTrials) -> list[str]:
-        """Return the names of the artifacts that the parts of a stage's trials are."""
+        """Return the artifact names of the parts of a stage's trials."""
         return [self.artifact_name(stage, part) for part in trials.parts]
 
     def describe_sources(self) -> dict[str, str]:
-        """Return the sources of the inputs of each stage in words."""
+        """Describe the sources of all inputs of each stage."""
         taken: dict[str, list[str]] = {stage: [] for stage in self.stages}
         for connection in self.connections:
             taken.setdefault(connection.stage, []).append(connection.describe())
@@ -91,7 +91,7 @@ class StageGraph:
         }
 
     def precedes_movement(self, stage: str) -> bool:
-        """Return whether the arm of an iteration moves by or after this stage."""
+        """Return whether the arm moves in or after this stage."""
         if stage not in self.stages:
             return False
         following = self.stages[self.stages.index(stage) :]
@@ -99,7 +99,7 @@ class StageGraph:
 
     @property
     def movement(self) -> str | None:
-        """Name of the artifact of the first stage that moves an arm."""
+        """Artifact name of the first stage that moves an arm."""
         for name in self.stages:
             if stages()[name].moves_arm:
                 return stages()[name].folder
@@ -121,9 +121,9 @@ def build_graph(
     config : mapping
         All settings of the run.
     given : mapping
-        Kinds of the artifacts with which an iteration may begin, by name.
+        Kinds of the artifacts given to an iteration, by name.
     outcome : StageSpec, optional
-        What the mode itself does with the artifacts of an iteration, as a stage.
+        The mode's own use of artifacts, as a stage.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def build_graph(
 
 
 def ports_of(stage: StageSpec) -> Iterator[Port]:
-    """Yield the inputs of a stage; the parts of collected trials count one by one."""
+    """Yield the inputs of a stage; each part of collected trials is one input."""
     for name, wanted in stage.inputs.items():
         if isinstance(wanted, CollectedTrials):
             for part, kind in wanted.parts.items():
@@ -197,7 +197,7 @@ def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
 def find_chosen(
     stage: StageSpec, port: Port, source: Any, names: Sequence[str], position: int
 ) -> str:
-    """Return the stage that a setting chooses for an input, if it can be its source."""
+    """Return the stage chosen for an input; refuse an impossible source."""
     setting = f"{stage.name}.{INPUTS_SETTING}.{port.name} = {source}"
     if source not in names:
         raise UserError(
@@ -219,7 +219,7 @@ def find_chosen(
 
 
 def last_maker(kind: Kind, specs: Sequence[StageSpec]) -> str:
-    """Return the last stage that makes this kind; empty if there is none."""
+    """Return the last stage that makes this kind; empty without one."""
     for spec in reversed(specs):
         if issubclass(spec.makes, kind):
             return spec.name
@@ -227,7 +227,7 @@ def last_maker(kind: Kind, specs: Sequence[StageSpec]) -> str:
 
 
 def given_name(port: Port, given: Mapping[str, Kind]) -> str:
-    """Return the name of the given artifact that fills an input; empty if none does."""
+    """Return the given artifact for an input; empty without one."""
     for name, kind in given.items():
         if isinstance(kind, type) and issubclass(kind, port.kind):
             return name
@@ -235,7 +235,7 @@ def given_name(port: Port, given: Mapping[str, Kind]) -> str:
 
 
 def refuse_unknown_stages(names: Sequence[str]) -> None:
-    """Raise UserError for a name that no stage has, or a stage that stands twice."""
+    """Raise UserError for an unknown or repeated stage."""
     for position, name in enumerate(names):
         if name not in stages():
             raise UserError(
@@ -247,7 +247,7 @@ def refuse_unknown_stages(names: Sequence[str]) -> None:
 
 
 def refuse_ambiguous(stage: StageSpec, first: str, port: Port) -> None:
-    """Raise UserError for two inputs that would be the same artifact."""
+    """Raise UserError for two inputs with the same artifact."""
     raise UserError(
         f"stage {stage.name}: its inputs {first} and {port.name} are both "
         f"{kind_name(port.kind)}. Name the stage of each: "
@@ -256,7 +256,7 @@ def refuse_ambiguous(stage: StageSpec, first: str, port: Port) -> None:
 
 
 def refuse_missing(stage: StageSpec, port: Port, names: Sequence[str]) -> None:
-    """Raise UserError for an input that nothing makes."""
+    """Raise UserError for an input without a source."""
     makers = []
     for name, spec in stages().items():
         if issubclass(spec.makes, port.kind) and name != stage.name:
@@ -273,7 +273,7 @@ def refuse_missing(stage: StageSpec, port: Port, names: Sequence[str]) -> None:
 def refuse_unused(
     specs: Sequence[StageSpec], connections: Sequence[Connection]
 ) -> None:
-    """Raise UserError for a stage whose artifact nothing uses."""
+    """Raise UserError for a stage whose artifact is not used."""
     used = {connection.source for connection in connections}
     for spec in specs:
         if spec.name not in used and not spec.is_end:

@@ -1,4 +1,4 @@
-"""End a stage with what it knows after a first Ctrl-C; end the run after a second."""
+"""The first Ctrl-C ends a stage with a preliminary result, the second ends the run."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from stringcast.stages.common import InterruptRequest
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
-REPEAT_AFTER_S = 0.05  # [s], longer than a callback takes
+REPEAT_AFTER_S = 0.05  # [s], longer than a callback
 
 
 def repeat_ignored_interrupts() -> None:
-    """Send an interrupt again that Python ignored, from now on.
+    """From now on, repeat interrupts that Python ignored.
 
-    No exception leaves a finalizer or a callback from C. LLVM calls back once it has
-    compiled a loop, which takes seconds: a Ctrl-C in that time would be lost.
+    Exceptions in finalizers and in callbacks from C are ignored. LLVM calls back after
+    compiling a loop for seconds, and a Ctrl-C in that time would be lost.
     """
     former_hook = sys.unraisablehook
 
@@ -41,10 +41,10 @@ def repeat_ignored_interrupts() -> None:
 
 @contextmanager
 def stop_stage_on_interrupt() -> Iterator[None]:
-    """Raise `InterruptRequest` at the first SIGINT for the duration of the context.
+    """Raise `InterruptRequest` at the first SIGINT within the context.
 
-    Nothing changes if signals are ignored or handled by others, or outside the main
-    thread, which alone receives them.
+    Does nothing outside the main thread, or if SIGINT is ignored or has another
+    handler.
     """
     previous = signal.getsignal(signal.SIGINT)
     former_hook = sys.unraisablehook

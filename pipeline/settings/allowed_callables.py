@@ -1,12 +1,12 @@
-"""The names that a setting `_target_` may hold, role by role.
+"""The allowed values of the setting `_target_` for each role.
 
-Settings come from other people's folders too (`trials=`, `model_from=`, `camera_from=`,
-`resume`, `index` ...), so a name is looked up here before anything is imported. Names
-are those within the package `stringcast`: each room lists its own in `entry_points`,
-and a stage states itself what may fill its role.
+Settings may come from foreign folders (`trials=`, `model_from=`, `camera_from=`,
+`resume`, `index` ...), so a name is looked up here before anything is imported. Within
+`stringcast`, each room lists its names in `entry_points`, and a stage states those of
+its role.
 
-A plugin adds to a role the public functions, or classes, of the modules in its folder
-of that name: those of `my_lab/estimate/` may estimate.
+A plugin adds the public functions or classes of the modules in its folder of the role's
+name, such as `my_lab/estimate/`.
 """
 
 from __future__ import annotations
@@ -25,19 +25,16 @@ ROLES: Mapping[str, tuple[str, ...]] = {
     **pipeline_entry_points.ROLES,
     **stage_entry_points.ROLES,
 }
-CLASS_ROLES = ("mode", "source", "plane")  # the other roles are filled by functions
+CLASS_ROLES = ("mode", "source", "plane")  # the other roles need functions
 
 
 def allowed_names_by_role() -> dict[str, tuple[str, ...]]:
-    """Return the allowed names of each role, by the name of the settings block.
-
-    Those in the plugins' folders of roles are left out.
-    """
+    """Return the allowed names in the package of each role, the settings block."""
     return {**ROLES, **{stage.name: stage.by for stage in stages().values()}}
 
 
 def plugin_names(role: str) -> list[str]:
-    """Return the names in plugins that may fill a role; no file is imported."""
+    """Return the allowed names in plugins for a role, without importing."""
     kind = ast.ClassDef if role in CLASS_ROLES else ast.FunctionDef
     names = []
     for file, module in plugin_files(role_files(role)).items():
@@ -46,7 +43,7 @@ def plugin_names(role: str) -> list[str]:
 
 
 def plugin_function_files() -> list[str]:
-    """Return all modules of plugins that may fill a role."""
+    """Return all modules of plugins for a role."""
     modules: dict[str, None] = {}
     for role in plugin_roles():
         modules |= dict.fromkeys(plugin_files(role_files(role)).values())
@@ -54,7 +51,7 @@ def plugin_function_files() -> list[str]:
 
 
 def plugin_roles() -> list[str]:
-    """Return the roles that a plugin may fill."""
+    """Return the roles that a plugin may extend."""
     by_stages = [stage.name for stage in stages().values() if stage.by]
     return [*by_stages, "hardware", *CLASS_ROLES]
 

@@ -1,4 +1,4 @@
-"""Check that every number among the settings lies within its bounds.
+"""Check that every number in the settings lies within its bounds.
 
 Bounds stand where a setting is declared, in its comment in `conf`, before its unit:
 `fps: 200.0  # frame rate, 0.1 to 1e5 [1/s]`. Bounds of a block hold for all numbers in
@@ -26,12 +26,12 @@ from stringcast.pipeline.settings.setting_comments import setting_comments
 
 NUMBER = r"-?\d+(?:\.\d+)?(?:e-?\d+)?"
 BOUNDS = re.compile(rf"(?:^|, )({NUMBER}) to ({NUMBER})(?: \[([^\]]+)\]|;|$)")
-REFERENCE = re.compile(r"\$\{([\w.]+)\}")  # a value that is that of another setting
-WORDS = {"trials_used": ("all",)}  # that stand for a number
+REFERENCE = re.compile(r"\$\{([\w.]+)\}")  # a value that refers to another setting
+WORDS = {"trials_used": ("all",)}  # words accepted instead of a number
 
 
 class Bounds(NamedTuple):
-    """The bounds of a setting, which it may equal, and its unit; empty without one."""
+    """The inclusive bounds of a setting, and its unit, if any."""
 
     low: float
     high: float
@@ -54,9 +54,9 @@ def bounds_of(name: str) -> Bounds | None:
 
 
 def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) -> None:
-    """Raise UserError for a setting outside its bounds, or with no number for one.
+    """Raise UserError for a setting outside its bounds, or not a number.
 
-    Of settings that refer to one another, the one that was given is named.
+    The message names the setting that was given, not one that refers to it.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) 
 
 
 def _follow(name: str, references: Mapping[str, str]) -> str:
-    """Return the name of the setting whose value a setting takes, or its own name."""
+    """Return the name of the setting that a setting refers to, or its own name."""
     block = name
     while block:
         if block in references:
@@ -94,7 +94,7 @@ def _follow(name: str, references: Mapping[str, str]) -> str:
 
 
 def _fault(value: Any, bounds: Bounds) -> tuple[str, str] | None:
-    """Return the number that does not fit, and what it must be; None if all fit."""
+    """Return a wrong number and its requirement; None if all are right."""
     for number in _leaves(value):
         if isinstance(number, bool) or not isinstance(number, int | float):
             return repr(number), f"a number {bounds.describe()}"
@@ -106,10 +106,7 @@ def _fault(value: Any, bounds: Bounds) -> tuple[str, str] | None:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """Yield the values in nested lists and the blocks in them.
-
-    There are none where a setting is not given.
-    """
+    """Yield the values in nested lists and blocks; none for a missing setting."""
     if isinstance(value, Mapping):
         yield from _leaves(list(value.values()))
     elif isinstance(value, list | tuple):
@@ -121,7 +118,7 @@ def _leaves(value: Any) -> Iterator[Any]:
 
 @cache
 def _referenced_settings(folders: tuple[Path, ...]) -> dict[str, str]:
-    """Return the settings that take the value of another one, with its name."""
+    """Return the settings that refer to another one, with its name."""
     references = {}
     for folder in folders:
         for file in sorted(folder.rglob("*/*.yaml")):

@@ -38,9 +38,9 @@ def compose_settings(overrides: Sequence[str] = ()) -> Any:
 
 
 def conf_folders() -> tuple[Path, ...]:
-    """Return the folders of settings: that of the package and those of plugins.
+    """Return the folders of settings of the package and of plugins.
 
-    Raises PluginError for a file that would be hidden by one of the same name.
+    Raises PluginError for two files of the same name.
     """
     folders = [CONF_FOLDER]
     for plugin in plugin_folders().values():
@@ -57,7 +57,7 @@ def conf_folders() -> tuple[Path, ...]:
 
 
 def group_files(group: str) -> list[Path]:
-    """Return the files of the options of a group, of the package and of plugins."""
+    """Return the option files of a group, from the package and plugins."""
     files = []
     for folder in conf_folders():
         files += sorted((folder / group).glob("*.yaml"))
@@ -66,7 +66,7 @@ def group_files(group: str) -> list[Path]:
 
 @functools.cache
 def _compose_cached(overrides: tuple[str, ...], folders: tuple[Path, ...]) -> Any:
-    # Hydra takes 0.1 s, and each job of a study composes the same settings.
+    # Hydra takes 0.1 s; all jobs of a study compose the same settings.
     refuse_repeated_settings(overrides)
     with initialize_config_dir(str(CONF_FOLDER), version_base="1.3"):
         try:
@@ -85,7 +85,7 @@ def given_names(overrides: Iterable[str]) -> set[str]:
 
 
 def refuse_repeated_settings(overrides: Iterable[str]) -> None:
-    """Raise UserError for a setting given twice, of which Hydra would take the last."""
+    """Raise UserError for a setting given twice."""
     seen: dict[tuple[str, str | None], str] = {}
     for override in OverridesParser.create().parse_overrides(list(overrides)):
         if override.is_delete():

@@ -29,12 +29,12 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 from stringcast.stages.model.string import String
 
-BlockLocation = Callable[[str], str]  # from the name of a block to its file
-MEASURED_PARTS = ("value", "low", "high")  # of a parameter with an interval
+BlockLocation = Callable[[str], str]  # returns the file of a block
+MEASURED_PARTS = ("value", "low", "high")  # parts of a parameter with an interval
 
 
 def build_model(config: Settings, where: BlockLocation) -> Model:
-    """Build the model that a run works with.
+    """Build the model of a run.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def add_effects(
     Parameters
     ----------
     model : Model
-        The model without them.
+        The model without these effects.
     names : object
         Value of the setting, which must be a list of names.
     where, setting : str
@@ -80,7 +80,7 @@ def add_effects(
     Raises
     ------
     UserError
-        For a name that no effect has, or effects that exclude each other.
+        For an unknown effect, or effects that exclude each other.
     """
     if not isinstance(names, list):
         remedy = "it must be a list, such as [rest_curvature]. Change it."
@@ -127,7 +127,7 @@ def read_parameter_values(
 
 
 def flatten_parameters(block: Settings, where: str) -> dict[str, Any]:
-    """Return what is given for each parameter, by its full name.
+    """Return the given values by full parameter name.
 
     On the command line, +parameter_values.tip_mass.ratio=0.05 is a nested block.
     """
@@ -147,7 +147,7 @@ def is_finite_number(value: Any) -> bool:
 
 
 def unknown_parameter_remedy(name: str, model: Model) -> str:
-    """Say how to model the effect of an unknown parameter, or which ones are known."""
+    """Describe how to add the effect of a parameter, or list the known ones."""
     effect = name.partition(".")[0]
     if effect in effect_files():
         value = f"'+parameter_values.{effect}.<parameter>=<number>'"
@@ -184,7 +184,7 @@ def build_string(block: Settings, where: str) -> String:
 def read_range(
     parameter: Parameter, limits: Mapping[str, Any], setting: str, where: str
 ) -> Parameter:
-    """Return a parameter with the range and the start value of a setting."""
+    """Return a parameter with the range and start value of a setting."""
     low = validate_value(float, limits["low"], f"{setting}.low", where)
     high = validate_value(float, limits["high"], f"{setting}.high", where)
     start = validate_value(float, limits["start"], f"{setting}.start", where)
@@ -200,7 +200,7 @@ def read_range(
 def refine_string_to_tolerance(
     string: String, arm: Arm, config: Settings, where: str
 ) -> String:
-    """Return the string with points and step that keep `string.tolerance`, if given.
+    """Return the string with points and step for `string.tolerance`, if given.
 
     The error is measured on one plain cast, with all parameters in mid-range.
     """

@@ -1,7 +1,7 @@
-"""The plugins of a run: only those that this person named, each imported beforehand.
+"""The plugins of a run: only those named by the user, imported in advance.
 
-The setting `plugins` of a command line is added to the variable STRINGCAST_PLUGINS,
-which processes of a sweep inherit. A stored run never adds to it.
+The setting `plugins` of a command line extends the variable STRINGCAST_PLUGINS,
+inherited by processes of a sweep. A stored run never extends it.
 """
 
 from __future__ import annotations
@@ -32,14 +32,13 @@ from stringcast.stages.plugins import (
     plugin_folders,
 )
 
-UNNAMED_PLUGIN = "which you have not named"  # of messages
+UNNAMED_PLUGIN = "which you have not named"  # part of messages
 
 
 def name_plugins(overrides: Sequence[str]) -> None:
-    """Name the plugins of a command line, for this process and those it starts.
+    """Register the plugins of a command line, for this process and its children.
 
-    Raises UserError or PluginError for a value that is no list of folders, and for
-    folders that cannot be used.
+    Raises UserError or PluginError for anything but a list of usable folders.
     """
     start = f"{PLUGINS_SETTING}="
     words = [word for word in overrides if word.lstrip("+").startswith(start)]
@@ -64,30 +63,30 @@ def name_plugins(overrides: Sequence[str]) -> None:
 
 
 def named_folders() -> list[str]:
-    """Return the folders of all plugins that this person named."""
+    """Return the folders of all plugins named by the user."""
     return [str(folder) for folder in plugin_folders().values()]
 
 
 def set_plugins(folders: Sequence[str]) -> None:
-    """Set the plugins of this process and of those it starts; check their folders."""
+    """Set the plugins of this process and its children; check their folders."""
     os.environ[PLUGINS_VARIABLE] = os.pathsep.join(folders)
     os.environ[PLUGINS_VARIABLE] = os.pathsep.join(named_folders())
 
 
 def require_named_plugins(settings: Settings, where: str) -> list[str]:
-    """Return the folders of the plugins that settings name.
+    """Return the folders of the plugins in settings.
 
     Parameters
     ----------
     settings : mapping
-        All settings of a run, perhaps of somebody else.
+        All settings of a run, perhaps a foreign one.
     where : str
-        File from which they come, for messages.
+        File of the settings, for messages.
 
     Raises
     ------
     UserError
-        For a plugin that this person has not named. Nothing of it is imported.
+        For a plugin that the user has not named. It is not imported.
     """
     stored: Any = settings.get(PLUGINS_SETTING, [])
     is_list = isinstance(stored, list)
@@ -115,7 +114,7 @@ def is_path(value: Any) -> bool:
 
 
 def use_stored_plugins(settings: Settings, where: str) -> None:
-    """Use exactly the plugins of a stored run, which this person must have named."""
+    """Use exactly the plugins of a stored run; the user must have named them."""
     folders = require_named_plugins(settings, where)
     if folders != named_folders():
         set_plugins(folders)
@@ -123,7 +122,7 @@ def use_stored_plugins(settings: Settings, where: str) -> None:
 
 @contextmanager
 def stored_plugins(settings: Settings, where: str) -> Iterator[None]:
-    """Use exactly the plugins of a stored run, then again all that are named."""
+    """Within the context, use exactly the plugins of a stored run."""
     before = named_folders()
     try:
         use_stored_plugins(settings, where)
@@ -133,10 +132,9 @@ def stored_plugins(settings: Settings, where: str) -> Iterator[None]:
 
 
 def import_plugins() -> None:
-    """Import what the plugins hold, so that nothing runs where something is wrong.
+    """Import all modules of plugins, so that faults appear before a run.
 
-    Raises PluginError for a module that cannot be imported, and a name that is not
-    there.
+    Raises PluginError for a module that cannot be imported, or a missing name.
     """
     if not plugin_folders():
         return

@@ -92,7 +92,7 @@ def option_lines(group: str, default_option: str) -> list[str]:
 
 
 def first_sentence(file: Path) -> str:
-    """Return the first line of the comment on top of a file of settings."""
+    """Return the first sentence of a settings file."""
     for line in file.read_text(encoding="utf-8").splitlines():
         if line.startswith("# ") and not line.startswith("# @package"):
             return line.removeprefix("# ")
@@ -112,7 +112,7 @@ def setting_lines(group: str, settings: Mapping[str, Any]) -> list[str]:
 
 
 def nearest_comment(name: str) -> str:
-    """Return the setting, or else the closest block around it, that has a comment."""
+    """Return the name of the setting, or of the innermost block, with a comment."""
     while name and name not in setting_comments():
         name = name.rpartition(".")[0]
     return name
@@ -129,7 +129,7 @@ def sorted_effects() -> list[type[Effect]]:
 
 
 def effect_lines(effect: type[Effect]) -> list[str]:
-    """Describe an effect, with the ranges and units of its parameters below."""
+    """Describe an effect, and ranges and units of its parameters."""
     first_line = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
     sentence = re.split(r"\. (?=[A-Z])", first_line)[0].removesuffix(".")
     excluded = " Not a candidate." if effect.exclusion_reason else ""

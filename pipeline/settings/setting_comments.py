@@ -12,7 +12,7 @@ from stringcast.pipeline.settings.composition import CONF_FOLDER, conf_folders
 SETTING_LINE = re.compile(
     r"(?P<indent> *)(?P<name>[\w.]+):(?P<value>[^#]*)(#\s*(?P<comment>.*))?$"
 )
-# A group whose settings have another name.
+# groups whose settings have another name
 RENAMED_GROUP = re.compile(r"- (\w+)@(\w+):")
 CONTINUED_COMMENT = re.compile(r" +#\s*(.*)")
 COMMENT_COLUMN = 40  # where comments begin in the help
@@ -21,7 +21,7 @@ COMMENT_COLUMN = 40  # where comments begin in the help
 def setting_comments() -> dict[str, str]:
     """Return the comments of all settings by name, such as `estimate.beta`.
 
-    If options of a group share a setting, the first comment counts.
+    If options of a group share a setting, the first comment is used.
     """
     return _comments_in_folders(conf_folders())
 

@@ -1,4 +1,4 @@
-"""Settings that a folder brings along: of stored trials, a model or a calibration."""
+"""Settings inherited from folders of trials, a model or a calibration."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ from stringcast.pipeline.settings.typed_settings import build_chosen, require_al
 from stringcast.stages.calibrate import CAMERA
 from stringcast.stages.spec import EXTENDED
 
-# What an extended model may set, and the type of each.
+# settings of an extended model, with types
 MODEL_SETTINGS = {"string": dict, "effects": list, "parameter_values": dict}
-# How an arm may move. A person must agree to these settings before a real one moves.
+# limits of an arm, which a person must accept before a real arm moves
 ARM_BLOCKS = ("arm", "hardware", "execute")
-# The length belongs to the measured string, however it is simulated.
+# The length belongs to the measured string, not to its simulation.
 LENGTH_SETTING = "string.length"
-# Relative half width of the interval in which a weighed tip mass is known.
+# relative half width of the interval of a weighed tip mass
 WEIGHING_UNCERTAINTY = 1e-3
-# A clock's offset is sought in so many times its 95 % interval: nearly all of a normal
-# distribution.
+# search range of a clock offset, in 95 % intervals
 CLOCK_RANGE_FACTOR = 1.5
-# Settings that dataset.yaml brings along.
+# settings inherited from dataset.yaml
 DATASET_SETTINGS = {
     "string": ("length",),
     "arm": ("links", "base"),
@@ -52,7 +51,7 @@ DATASET_SETTINGS = {
         "lens",
     ),
 }
-# Settings that the stored trials of a run bring along.
+# settings inherited from stored trials of a run
 RUN_SETTINGS = (
     "arm",
     "camera",
@@ -72,18 +71,19 @@ RUN_SETTINGS = (
 
 
 def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
-    """Return all settings, including those that folders bring along.
+    """Return all settings, including those inherited from folders.
 
-    A camera replaces that of a model or of trials, and a model replaces that of trials.
+    A calibrated camera replaces that of a model or of trials; a model replaces that of
+    trials.
 
     Parameters
     ----------
     config : DictConfig
-        The composed settings, which name the folders.
+        The composed settings with the folders.
     given : set of str
         Names on the command line. These settings take precedence over all others.
     """
-    # not resolved yet: a setting that refers to another one follows it
+    # not resolved yet, so that references follow changed settings
     merged: Any = OmegaConf.create(OmegaConf.to_container(config))
     inherited = {}
     if config.trials is not None:
@@ -116,7 +116,7 @@ def restore_given_settings(merged: Any, config: DictConfig, given: set[str]) -> 
 
 
 def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
-    """Add the tip mass that dataset.yaml states as an effect of known value."""
+    """Add the tip mass of dataset.yaml as an effect of known value."""
     string = metadata.get("string", {})
     if not string.get("tip_mass"):
         return
@@ -130,10 +130,7 @@ def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
 
 
 def add_clock_interval(merged: Any, metadata: dict[str, Any]) -> None:
-    """Add the clock offset that dataset.yaml states an interval of as an effect.
-
-    It is unknown within that interval in every model.
-    """
+    """Add the clock offset of dataset.yaml as an effect with an interval."""
     clock = metadata.get("clock")
     if not clock:
         return
@@ -159,25 +156,25 @@ def add_measured_parameter(merged: Any, name: str, measured: dict[str, float]) -
 
 
 def is_run_folder(folder: Path) -> bool:
-    """Return whether stored trials are those of a run, with its settings."""
+    """Return whether a folder of trials is a run, with its settings."""
     return (folder / "config.json").exists()
 
 
 def refuse_inherited_limits(
     settings: Any, own_settings: Any, source: str, consent: str = "accept_limits=true"
 ) -> None:
-    """Refuse to move a real arm by limits of a folder without a person's consent.
+    """Refuse to move a real arm with inherited limits without consent.
 
     Parameters
     ----------
     settings : dict
         Settings of the run.
     own_settings : dict
-        Settings as they are configured here.
+        Settings configured here.
     source : str
-        What brought the limits along, for the message.
+        Source of the limits, for the message.
     consent : str
-        What a person adds to the call to agree, for the message.
+        Option by which a person agrees, for the message.
 
     Raises
     ------
@@ -211,7 +208,7 @@ def run_moves_arm(settings: Any) -> bool:
 
 
 def read_extended_model(folder: Path) -> dict[str, Any]:
-    """Read the model that a diagnosis or an alignment made, as settings.
+    """Read the model of a diagnosis or an alignment, as settings.
 
     Parameters
     ----------
@@ -242,7 +239,7 @@ def read_extended_model(folder: Path) -> dict[str, Any]:
 
 
 def read_measured_camera(folder: Path) -> dict[str, Any]:
-    """Read the camera that a calibration measured, as settings, from its run."""
+    """Read the camera measured by a calibration run, as settings."""
     remedy = "Name the run folder of a good calibration."
     return read_run_settings(folder, CAMERA, "camera_from", remedy)
 
@@ -267,9 +264,9 @@ def read_run_settings(
 def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
     """Return the settings of stored trials by name, from config.json or dataset.yaml.
 
-    Settings of the command line are left out, and so are those of a group of which it
-    chooses an option. The length is the exception: `string=...` chooses how a string is
-    simulated, not how long it is.
+    Settings of the command line are left out, and all settings of a group whose option
+    it chooses. The length is an exception: `string=...` chooses the simulation of a
+    string, not its length.
     """
     stored = {}
     if is_run_folder(folder):
@@ -294,7 +291,7 @@ def settings_of_trials(folder: Path, given: set[str]) -> dict[str, Any]:
 
 
 def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
-    """Refuse to move an arm unless its stored trials are known to be from it."""
+    """Refuse to move an arm unless the stored trials are known to come from it."""
     if not is_run_folder(folder) and "hardware" not in given:
         raise UserError(
             f"trials={folder}: the dataset does not state which arm and camera made "

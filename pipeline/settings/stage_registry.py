@@ -1,7 +1,7 @@
-"""Registry of the stages, which finds them by itself.
+"""Registry of the stages.
 
 A stage is a folder in `stages/`, of the package or of a plugin, whose `__init__`
-defines STAGE.
+defines STAGE. It is found automatically.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ STAGES_FOLDER = Path(package.__path__[0])
 def stages() -> dict[str, StageSpec]:
     """Return all stages by name.
 
-    Raises PluginError for a plugin's stage that cannot be used, or has the name of
-    another.
+    Raises PluginError for an unusable stage of a plugin, or a repeated name.
     """
     return _load_stages(tuple(plugin_folders().values()))
 
 
 def refuse_wrong_description(stage: StageSpec, file: Path) -> None:
-    """Raise PluginError for a plugin's stage with a part of another type."""
+    """Raise PluginError for a plugin's stage with an attribute of a wrong type."""
     wanted = "a name of small letters, digits and _"
     faults = []
     for part in (stage.name, stage.folder):

@@ -23,22 +23,22 @@ from stringcast.stages.common import SettingsGroup
 from stringcast.stages.plugins import PLUGIN_PREFIX, load_object, plugin_folders
 
 BuiltT = TypeVar("BuiltT")
-# Arguments that a run supplies itself.
+# arguments supplied by the run
 RUN_ARGUMENTS = ("seed", "cast_number", "trial", "progress")
-# Settings that name a folder, or nothing.
+# settings that name a folder or are null
 PATH_SETTINGS = ("trials", "model_from", "camera_from")
-# Settings of a stage's block that are no arguments: the function and its wiring.
+# settings of a stage's block that are not arguments
 RUN_SETTINGS = ("_target_", "inputs")
 
 
 def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
-    """Return the function that a block names, with its checked settings bound.
+    """Return the function of a block, with its checked settings bound.
 
     Parameters
     ----------
     block : mapping
-        ``_target_``, and exactly the function's keyword-only arguments, or the fields
-        of those that are a `SettingsGroup`, without those that the run supplies.
+        ``_target_``, and exactly the function's keyword-only arguments (for a
+        `SettingsGroup`, its fields), without those supplied by the run.
     place : str
         Name of the block.
     where : str
@@ -47,7 +47,7 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     Raises
     ------
     UserError
-        For a name or value that the function does not take.
+        For a name or value that the function does not accept.
     """
     target = require_target(block, place, where, f"+{place}=...")
     function = load_callable(target, place, where)
@@ -72,9 +72,9 @@ def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
 def refuse_other_inputs(
     function: Callable[..., Any], name: str, place: str, where: str
 ) -> None:
-    """Raise UserError for a plugin's function that cannot take what a stage gives it.
+    """Raise UserError for a plugin's function with a wrong number of artifacts.
 
-    It takes as many artifacts as the package's own functions of this role.
+    It must accept as many as the package's functions of this role.
     """
     own_names = allowed_names_by_role().get(place, ())
     if not name.startswith(PLUGIN_PREFIX) or not own_names:
@@ -89,7 +89,7 @@ def refuse_other_inputs(
 
 
 def takes_any(function: Callable[..., Any]) -> bool:
-    """Return whether a function takes any number of positional arguments."""
+    """Return whether a function accepts any number of positional arguments."""
     parameters = inspect.signature(function).parameters.values()
     return any(p.kind is inspect.Parameter.VAR_POSITIONAL for p in parameters)
 
@@ -102,7 +102,7 @@ def positional_names(function: Callable[..., Any]) -> list[str]:
 
 
 def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:
-    """Return the type of each setting of a block that names this function or class."""
+    """Return the types of the settings of a function or class."""
     if inspect.isclass(kind):
         return get_type_hints(kind, include_extras=True)
     types: dict[str, Any] = {}
@@ -115,7 +115,7 @@ def setting_types(kind: Callable[..., Any]) -> dict[str, Any]:
 
 
 def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
-    """Return the types of keyword-only arguments, except those that a run supplies."""
+    """Return the types of keyword-only arguments not supplied by the run."""
     place = f"{function.__module__}.{function.__name__}"
     try:
         hints = get_type_hints(function, include_extras=True)
@@ -135,14 +135,14 @@ def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
 
 
 def is_settings_group(hint: Any) -> bool:
-    """Return whether a type is a dataclass whose fields are settings of their own."""
+    """Return whether a type is a dataclass whose fields are settings."""
     return isinstance(hint, type) and issubclass(hint, SettingsGroup)
 
 
 def build_dataclass(
     kind: type[BuiltT], block: Settings, place: str, where: str
 ) -> BuiltT:
-    """Build a validated dataclass from a block whose names are its fields."""
+    """Build a validated dataclass from a block of its fields."""
     require_block(block, place, where)
     check_names(block, expected_fields(kind, block), place, where)
     built: BuiltT = validate_value(kind, block, place, where)
@@ -150,7 +150,7 @@ def build_dataclass(
 
 
 def refuse_odd_paths(settings: Mapping[Any, Any], where: str) -> None:
-    """Raise UserError for a setting that must name a folder and holds no text."""
+    """Raise UserError for a folder setting that is not text."""
     for name in PATH_SETTINGS:
         value = settings[name]
         if value is not None and not isinstance(value, str):
@@ -172,7 +172,7 @@ def require_block(block: Any, place: str, where: str) -> Settings:
 def require_target(block: Any, place: str, where: str, option: str) -> Any:
     """Return the `_target_` of a block; raise UserError if it has none.
 
-    option: what a person may choose instead, for the message.
+    option: alternative to offer in the message.
     """
     if not isinstance(block, Mapping) or "_target_" not in block:
         raise UserError(
@@ -183,7 +183,7 @@ def require_target(block: Any, place: str, where: str, option: str) -> Any:
 
 
 def expected_fields(kind: Any, block: Settings) -> list[str]:
-    """Return the fields of a dataclass that a block gives or must give."""
+    """Return the fields of a dataclass that a block has or must have."""
     names = []
     for field in fields(kind):
         is_required = field.default is MISSING and field.default_factory is MISSING
@@ -211,7 +211,7 @@ def check_names(
 
 
 def load_callable(target: Any, place: str, where: str) -> Any:
-    """Return the function or class of a `_target_` that its role allows."""
+    """Return the function or class of an allowed `_target_`."""
     name = require_allowed(target, place, where)
     found = load_object(name)
     role = place.rpartition(".")[2]
@@ -226,7 +226,7 @@ def load_callable(target: Any, place: str, where: str) -> Any:
 
 
 def common_base(kinds: list[type]) -> type:
-    """Return the nearest class from which all of these derive."""
+    """Return the nearest common base class."""
     for base in kinds[0].__mro__:
         if all(issubclass(kind, base) for kind in kinds):
             return base
@@ -234,7 +234,7 @@ def common_base(kinds: list[type]) -> type:
 
 
 def require_allowed(target: Any, place: str, where: str) -> str:
-    """Return a `_target_` that its role allows; raise UserError for any other.
+    """Return an allowed `_target_`; raise UserError for any other.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def require_allowed(target: Any, place: str, where: str) -> str:
 
 
 def remedy_for_target(target: Any, allowed_names: list[str]) -> str:
-    """Say what to name instead of a `_target_`, or how to name its plugin."""
+    """Describe what to name instead of a `_target_`, or how to name its plugin."""
     if not allowed_names:
         return "Remove it: no code can be chosen here."
     if isinstance(target, str) and target.startswith(PLUGIN_PREFIX):
@@ -275,7 +275,7 @@ def remedy_for_target(target: Any, allowed_names: list[str]) -> str:
 
 
 def build_chosen(block: Settings, place: str, where: str) -> Any:
-    """Build the object of the class that a block names by `_target_`."""
+    """Build an object of the class in a block's `_target_`."""
     target = require_target(block, place, where, f"{place}=...")
     kind = load_callable(target, place, where)
     settings = {name: value for name, value in block.items() if name != "_target_"}

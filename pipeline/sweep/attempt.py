@@ -1,7 +1,7 @@
-"""Run one job of a sweep as the command of a single run, in its own process.
+"""Run one job of a sweep as a single run in its own process.
 
-A job that crashes or is killed thus stops no other job, and its numbers are those of a
-single run, whichever launcher starts it.
+A crashed or killed job does not stop others. The results equal those of a single run
+for every launcher.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Attempt:
     command : tuple of str
         Command that runs a job.
     start_folder : Path
-        Working directory of the sweep, to which the paths in settings are relative.
+        Working directory of the sweep; paths in settings are relative to it.
     """
 
     folder: Path
@@ -61,7 +61,7 @@ class Attempt:
     start_folder: Path = field(default_factory=Path.cwd)
 
     def __call__(self, threads: int) -> str:
-        """Run the job, unless it is claimed or has ended, record it, return its key."""
+        """Run the job unless it is claimed or has ended; record it; return its key."""
         ledger = Ledger(self.folder)
         with ledger.claim(self.key) as log:
             job = ledger.read(self.key)
@@ -86,7 +86,7 @@ class Attempt:
     def _run_process(self, job: Job, log: BinaryIO, threads: int) -> int:
         """Return the status of the job's process, which inherits the log's lock."""
         escaped = str(self.folder / self.key).replace("'", "\\'")
-        folder = f"hydra.run.dir='{escaped}'"  # Hydra's grammar takes any quoted text
+        folder = f"hydra.run.dir='{escaped}'"  # Hydra's grammar accepts any quoted text
         return subprocess.run(
             [*self.command, *job.overrides, "hydra.mode=RUN", folder],
             cwd=self.start_folder,

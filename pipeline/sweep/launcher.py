@@ -1,7 +1,7 @@
 """Launch a sweep for Hydra: keep the ledger and run the missing jobs.
 
-Hydra's sweeper composes the jobs. Each becomes an entry of the ledger, and those that
-have not ended are passed to the function that the setting `hydra.launcher.by` names.
+Hydra's sweeper composes the jobs. Each becomes an entry of the ledger. The function in
+`hydra.launcher.by` runs those that have not ended.
 """
 
 from __future__ import annotations
@@ -38,14 +38,13 @@ class LedgerLauncher:
     by : str
         Name of the function that runs jobs.
     finish : str
-        Name of the function that writes table and page in a sweep's folder.
+        Name of the function that writes table and page of a sweep.
     retry : bool
         Run failed jobs again.
     warm_up_jobs : int
-        Jobs that run before the others, so that machine code is compiled only once.
+        Jobs that run before the others to compile machine code once.
     variants : mapping of str to sequence of str, optional
-        Overrides by name. Each job runs once for every variant, or only for the one
-        that `name=` gives.
+        Overrides by name. Each job runs for every variant, or only for that of `name=`.
     settings : object
         Settings of the function `by`.
     """
@@ -59,14 +58,14 @@ class LedgerLauncher:
         variants: Mapping[str, Sequence[str]] | None = None,
         **settings: Any,
     ) -> None:
-        """Take the settings, which `setup` checks: Hydra hides errors raised here."""
+        """Store the settings; `setup` checks them, as Hydra hides errors here."""
         self.by = by
         self.finish = finish
         self.retry = retry
         self.warm_up_jobs = warm_up_jobs
         self.variants = variants or {}
         self.settings = settings
-        # the sweep's folder, and the function that finishes it
+        # folder of the sweep, and function that finishes it
         self.launched: tuple[Path, Callable[[Path], list[Job]]] | None = None
 
     def setup(
@@ -76,7 +75,7 @@ class LedgerLauncher:
         task_function: TaskFunction,
         config: DictConfig,
     ) -> None:
-        """Take what Hydra passes before `launch`, and check the settings.
+        """Store Hydra's objects for `launch`, and check the settings.
 
         Raises UserError for a setting with a wrong value.
         """
@@ -110,10 +109,7 @@ class LedgerLauncher:
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Run the missing jobs and return the matching rate E of each.
-
-        E is that after the last estimation, and NaN if there is none.
-        """
+        """Run the missing jobs and return the last matching rate E of each, or NaN."""
         finish = load_callable(self.finish, "hydra.launcher.finish", SETTINGS_PLACE)
         ledger = Ledger(Path(self.config.hydra.sweep.dir).absolute())
         jobs = self._compose_jobs(job_overrides, initial_job_idx)
@@ -139,14 +135,14 @@ class LedgerLauncher:
                     left = remaining_time(seconds, len(keys) - ended, len(attempts))
                     line = job_line(ledger.read(key), left)
                     console.print(line, soft_wrap=True, highlight=False)
-        # not after an interruption, which is no failure
+        # skipped after an interruption, which is not a failure
         ledger.mark_lost_as_failed(keys)
         return [job_return(ledger, job) for job in jobs]
 
     def _compose_jobs(
         self, job_overrides: Sequence[Sequence[str]], first_number: int
     ) -> list[Job]:
-        """Compose and resolve the settings of each job as its own run will."""
+        """Compose and resolve the settings of each job as in its own run."""
         all_overrides = []
         for overrides in job_overrides:
             all_overrides += self.expand_variants(overrides)
@@ -188,7 +184,7 @@ def job_return(ledger: Ledger, job: Job) -> JobReturn:
 
 
 def job_line(job: Job, left: str) -> Text:
-    """Return the line about a job that ended, with the remaining time."""
+    """Return the line about an ended job, with the remaining time."""
     state = (f"{job.state:<8}", STATE_COLOURS.get(job.state, "yellow"))
     line = Text.assemble(state, f"{job.seconds:7.1f} s  ")
     line.append(f"{' '.join(job.overrides)}  {left}")
@@ -198,14 +194,14 @@ def job_line(job: Job, left: str) -> Text:
 
 
 def remaining_time(seconds: float, waiting: int, of: int) -> str:
-    """Return the number of waiting jobs and their time at the pace so far, in words.
+    """Describe the number of waiting jobs and the estimated remaining time.
 
     Parameters
     ----------
     seconds : float
-        Time since the first of them started.
+        Time since the start.
     waiting, of : int
-        Jobs that wait, and jobs that waited at the start.
+        Waiting jobs now and at the start.
     """
     time_left = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
     return f"({waiting} left, about {time_left})" if waiting else ""

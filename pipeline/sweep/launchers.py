@@ -1,7 +1,7 @@
 """Run the jobs of a sweep: a function for each value of `hydra/launcher=`.
 
-A launcher is a generator function of attempts, which can be pickled and are called with
-a number of threads. It yields the key of each attempt that has ended; the ledger holds
+A launcher is a generator function of attempts, which are callable with a number of
+threads and can be pickled. It yields the key of each ended attempt; the ledger holds
 the outcome. The settings are in `conf/hydra/launcher`.
 """
 
@@ -24,7 +24,7 @@ ThreadCount = Annotated[int, Field(ge=1)]
 def serial(
     attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]
 ) -> Iterator[str]:
-    """Run jobs one after another on this machine; 0 threads are all cores."""
+    """Run jobs one after another on this machine; 0 threads: all cores."""
     for attempt in attempts:
         yield attempt(threads or usable_cores())
 
@@ -42,7 +42,7 @@ def joblib(
     attempts : sequence of Attempt
         Jobs to run.
     workers : int
-        Parallel jobs; 0 is as many as there are cores for.
+        Parallel jobs; 0: as many as the cores allow.
     threads : int
         Threads of each job.
     """
@@ -74,12 +74,12 @@ def ray(
     threads : int
         Threads and cores of a job.
     resources : dict
-        Further needs of a job for `ray.remote`, such as {"memory": 2e9}.
+        Further resources of a job for `ray.remote`, such as {"memory": 2e9}.
     """
     package = import_package("ray", "ray")
     try:
         package.init(address=address, include_dashboard=False, log_to_driver=False)
-    except Exception as error:  # Ray raises nothing more definite
+    except Exception as error:  # Ray raises no specific type
         where = "conf/hydra/launcher/ray.yaml or the command line"
         setting = f"hydra.launcher.address = {address} ({where})"
         remedy = "Start one with ray start --head, or give null to start one here."
@@ -89,7 +89,7 @@ def ray(
         keys = {task.remote(attempt, threads): attempt.key for attempt in attempts}
         while keys:
             ended, _ = package.wait(list(keys), num_returns=1)
-            yield keys.pop(ended[0])  # the ledger shows whether its worker was lost
+            yield keys.pop(ended[0])  # the ledger shows lost workers
     finally:
         package.shutdown()
 
@@ -135,7 +135,7 @@ def usable_cores() -> int:
 
 
 def import_package(package: str, launcher: str) -> ModuleType:
-    """Import an optional package, or raise UserError that says how to install it."""
+    """Import an optional package, or raise UserError with the install command."""
     try:
         return importlib.import_module(package)
     except ImportError as error:

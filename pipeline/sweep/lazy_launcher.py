@@ -14,30 +14,30 @@ from hydra.plugins.launcher import Launcher
 
 
 class LazyLauncher(Launcher):
-    """A launcher that hands everything to `pipeline.sweep.launcher.LedgerLauncher`."""
+    """A launcher that delegates to `pipeline.sweep.launcher.LedgerLauncher`."""
 
     current: ClassVar[Any] = None  # the launcher of this process' sweep
 
     def __init__(self, **settings: Any) -> None:
-        """Take the launcher's settings."""
+        """Store the launcher's settings."""
         module = import_module("stringcast.pipeline.sweep.launcher")
         self.launcher = module.LedgerLauncher(**settings)
 
     def setup(self, **arguments: Any) -> None:
-        """Take what Hydra passes before `launch`, and check the settings."""
+        """Store Hydra's objects for `launch`, and check the settings."""
         LazyLauncher.current = self.launcher
         self.launcher.setup(**arguments)
 
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        """Run the missing jobs and return the matching rate E of each."""
+        """Run the missing jobs and return the last matching rate E of each, or NaN."""
         jobs: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
         return jobs
 
 
 def sweep_folder() -> str:
-    """Return the folder of this process' sweep, for errors in which Hydra omits it."""
+    """Return the folder of this process' sweep, for errors without it."""
     if LazyLauncher.current is None:
         return "the run's folder"
     return str(LazyLauncher.current.config.hydra.sweep.dir)

@@ -1,6 +1,6 @@
-"""Keep the state of every job of a sweep, one file each.
+"""The state of every job of a sweep, one file each.
 
-Neither a kill nor a second sweep in the same folder can damage it.
+It survives kills and a second sweep in the same folder.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
 from stringcast.pipeline.run.result import read_summary
 
-LOCK_POLL_S = 0.1  # time between attempts at a lock; the results take about 1 s
+LOCK_POLL_S = 0.1  # [s] between lock attempts; results take about 1 s
 PENDING_STATE = "pending"
 RUNNING_STATE = "running"
 DONE_STATE = "done"
@@ -42,7 +42,7 @@ class Job:
     settings : mapping
         All settings, resolved.
     state, error : str
-        State, and why the job failed.
+        State, and reason of a failure.
     attempts : int
         Number of attempts.
     seconds, host : float, str
@@ -91,28 +91,28 @@ class Ledger:
             raise DataError(f"{fault}. Delete it to repeat the job.") from error
 
     def add(self, job: Job) -> None:
-        """Enter a job, unless the ledger has it."""
+        """Add a job, unless it exists."""
         if not self._job_file(job.key).exists():
             with self.claim(job.key) as log:
                 if log is not None and not self._job_file(job.key).exists():
                     self.write(job)
 
     def write(self, job: Job) -> None:
-        """Write a claimed job, completely or not at all."""
+        """Write a claimed job atomically."""
         write_text(self._job_file(job.key), json.dumps(asdict(job), indent=1))
 
     @contextmanager
     def claim(self, key: str) -> Iterator[BinaryIO | None]:
-        """Claim a job and open its log, or give None if it is claimed already.
+        """Claim a job and open its log; yield None if it is claimed already.
 
-        It ends when the log is closed, here and in all processes that inherited it.
+        The claim ends when all processes that inherited the log have closed it.
         """
         with open_for_lock(path := self._job_file(key).with_suffix(".log")) as log:
             yield log if try_lock(log, path) else None
 
     @contextmanager
     def lock_results(self) -> Iterator[None]:
-        """Wait for exclusive access to the files that are made of the whole ledger."""
+        """Wait for exclusive access to the files made from the whole ledger."""
         with open_for_lock(path := self.folder / "ledger" / "finishing.lock") as file:
             while not try_lock(file, path):
                 time.sleep(LOCK_POLL_S)
@@ -128,7 +128,7 @@ class Ledger:
         return count
 
     def reset_unfinished(self, keys: Sequence[str], states: Sequence[str]) -> list[str]:
-        """Mark jobs as pending that never ended, or ended in one of some states.
+        """Mark jobs as pending that never ended, or ended in one of `states`.
 
         Returns the keys of all pending jobs among `keys`.
         """
@@ -140,7 +140,7 @@ class Ledger:
         return pending
 
     def mark_lost_as_failed(self, keys: Sequence[str]) -> None:
-        """Mark as failed the jobs that were started and that no process runs."""
+        """Mark started jobs that no process runs as failed."""
         for key in keys:
             self._change_state(key, (RUNNING_STATE,), FAILED_STATE, LOST_WORKER_ERROR)
 
@@ -155,9 +155,9 @@ class Ledger:
     def _change_state(
         self, key: str, states: Sequence[str], state: str, error: str = ""
     ) -> bool:
-        """Change the state of an unclaimed job; tell whether it has the new state.
+        """Change the state of an unclaimed job; return whether it has the new state.
 
-        It is claimed only if necessary, so that a worker does not find it claimed.
+        It is claimed only if necessary, so that a worker can claim it.
         """
         if self.read(key).state not in states:
             return self.read(key).state == state

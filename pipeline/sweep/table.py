@@ -76,10 +76,10 @@ def last_parameters(ledger: Ledger, job: Job) -> pd.DataFrame:
 
 
 def setting_columns(jobs: Sequence[Job]) -> dict[str, list[Any]]:
-    """Return the settings that were given to any job, with the value of each job.
+    """Return the settings given to any job, with the value of each job.
 
-    Values are numbers, or else text. A column has the setting's name, with `setting.`
-    before it if an outcome has the same name.
+    Values are numbers or text. If an outcome has the same name, a column's name begins
+    with `setting.`.
     """
     given_by_job = []
     for job in jobs:
@@ -99,7 +99,7 @@ def setting_columns(jobs: Sequence[Job]) -> dict[str, list[Any]]:
 
 
 def setting_value(job: Job, name: str, given: Mapping[str, str]) -> Any:
-    """Return a job's value of a setting, or the given text for a group or list."""
+    """Return a job's value of a setting; for a group or list, the given text."""
     value = setting_of(job.settings, name)
     return value if isinstance(value, bool | int | float | str) else given.get(name, "")
 
