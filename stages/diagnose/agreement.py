@@ -1,17 +1,17 @@
-"""Whether the trials agree on a cause: a t-test of what each of them says.
+"""Agreement of trials on a cause: a t-test by leaving out trials.
 
-A model that lacks something is sure of its parameters without reason: its likelihood
-does not know what is missing. How far an estimate changes from trial to trial shows it.
-What is estimated is by how much the cause moves the points, in the direction in which
-it moves them in the fit to all trials: its parameters may trade off with each other.
-Each group of trials is left out in turn, which gives the estimate a standard error
-without a model of the misfit (jackknife over clusters [1]_). Its ratio to the estimate
-is a t statistic with as many observations as groups, and its Bayes factor against an
-absent cause that of a unit information prior [2]_. A cause that may vary between trials
-is estimated with one amplitude for all of them: how far they differ is in the scatter.
-Of a cause that acts in one trial alone the others say nothing: its estimate hardly
-changes without them, and with one treated cluster such an error is far too small [3]_.
-Its Bayes factor is 1.
+The likelihood of an incomplete model is overconfident. The scatter of an estimate
+between trials is not. The estimate is the displacement of the points by the cause,
+projected on that in the fit to all trials, because the parameters of the cause may be
+correlated. Each group of trials is left out in turn. This gives a standard error
+without a model of the misfit (jackknife over clusters [1]_), and a t statistic with as
+many observations as groups. Its Bayes factor against an absent cause is that of a unit
+information prior [2]_.
+
+A cause that may vary between trials is estimated with one amplitude for all of them, so
+that the scatter includes the variation. A cause that acts in a single trial has a Bayes
+factor of 1: its estimate hardly changes without other trials, and with one treated
+cluster the jackknife error is far too small [3]_.
 
 References
 ----------
@@ -38,7 +38,7 @@ from stringcast.stages.inference.solver import residual_changes
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
-SMALLEST_ERROR = 1e-6  # of the estimate: some do not change at all
+SMALLEST_ERROR = 1e-6  # of the estimate, in case it does not change at all
 
 
 def log_bayes_factor_of_trials(
@@ -47,12 +47,12 @@ def log_bayes_factor_of_trials(
     left_out: Sequence[np.ndarray],
     cause: type[Effect],
 ) -> float:
-    """Compare that a cause is there with that it is not, by estimates without trials.
+    """Compute the log Bayes factor for a cause from estimates without some trials.
 
     Parameters
     ----------
     left_out : sequence of numpy.ndarray, shape (P,)
-        Exponents of the fit without each group of trials.
+        Exponents of the fits without each group of trials.
     """
     chi = np.stack([fit.chi, *left_out])
     shifts = _white_shifts(data, fit, chi, cause)
@@ -75,9 +75,9 @@ def _white_shifts(
     chi: np.ndarray,
     cause: type[Effect],
 ) -> np.ndarray:
-    """Simulate by how much a cause moves the points at exponents (C, P), white (C, N).
+    """Compute white displacements (C, N) by a cause at exponents (C, P).
 
-    It moves those of a simulation that diverges by nothing.
+    They are zero where a simulation diverges.
     """
     hypothesis = fit.hypothesis
     amplitudes = hypothesis.amplitude_indices(cause)
@@ -97,14 +97,14 @@ def probability_by_agreement(
     candidates: int,
     min_tip_shift_m: float,
 ) -> float:
-    """Compute the probability that a cause is there, by the trials' t-test alone.
+    """Compute the probability of a cause from the t-test of trials alone.
 
     Parameters
     ----------
     candidates : int
         Number of effects that share the prior probability of one being active.
     min_tip_shift_m : float
-        By which a cause that depends on place moves the tip where it acts [m].
+        Tip shift above which a cause that depends on place acts in a trial [m].
     """
     data = state.prepared.data
     fit = state.fit

@@ -1,7 +1,7 @@
-"""Where an effect that depends on place may act: on the string's path.
+"""The search of places where an effect that depends on place may act.
 
-It must not act on all of that path, nor on the hand's. Only the effect's own law is
-evaluated; nothing is simulated.
+A contact acts on a part of the string's path, and nowhere on the hand's path. Only the
+effect's own law is evaluated; nothing is simulated.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from stringcast.stages.model.parameter import Parameter, parameter_values
 qmc = LazyModule("scipy.stats.qmc")  # takes 0.4 s
 
 LOG2_CANDIDATES = 13
-MAX_SIMULATED = 48  # of the candidates
+MAX_SIMULATED = 48  # candidates
 INITIAL_SIZE_FRACTION = 0.1  # of the range of a stiffness: a cushion rather than a wall
-MAX_TOUCHED_FRACTION = 0.1  # of the string's path: what acts on more is no contact
+MAX_TOUCHED_FRACTION = 0.1  # of the string's path: an effect on more is not a contact
 STRING_PATH_POINTS = 1500  # in a trial
 HAND_PATH_POINTS = 300  # in all trials
 REFINEMENT_CANDIDATES = 256
-CANDIDATES_PER_BATCH = 16  # their laws' arguments stay in the processor's cache
-FIELD_SAMPLES = 64  # candidates by which a field is told from a contact
+CANDIDATES_PER_BATCH = 16  # the arguments of their laws fit into the processor's cache
+FIELD_SAMPLES = 64  # candidates by which fields and contacts are distinguished
 DEPARTURE_SIGMAS = 3.0
-MIN_DEPARTURE_FRACTION = 0.3  # of the largest in any trial: smaller ones are no contact
-# Between contact and departure: the discrepancy is smooth and follows not sooner
+MIN_DEPARTURE_FRACTION = 0.3  # of the largest in any trial: smaller ones are ignored
+# Between contact and departure: the smooth discrepancy responds with this delay
 CONTACT_DELAY_S = 0.1
 
 
@@ -53,13 +53,14 @@ class ContactCandidates:
     start : numpy.ndarray, shape (P,)
         Exponents with the cause absent.
     parameter_indices : list of int
-        Of the cause's amplitude, then of its place and time.
+        Indices of the cause's amplitude, then of its place and time.
     string_paths : sequence of dict
-        Of each trial, the fitted string's path as arguments of laws, (M,) each.
+        The fitted string's path in each trial as arguments of laws, (M,) each.
     hand_path : dict
         The hand's path in all trials.
     departure_times : numpy.ndarray, shape (K,)
-        When the measured string departs from the fitted one [s]; infinite if never.
+        Times at which the measured string departs from the fitted one [s]; infinite if
+        it never does.
     seed : int
     """
 
@@ -76,9 +77,9 @@ class ContactCandidates:
         return self._most_plausible(self._range_samples)
 
     def act_everywhere(self) -> bool:
-        """Return whether the effect acts wherever its place is.
+        """Return whether the effect is a field, such as a spring to a fixed point.
 
-        Then it is no contact but a field, such as a spring to a fixed point.
+        A field acts on much of the string's path from any place.
         """
         chi = self._range_samples[:FIELD_SAMPLES]
         fractions = []
@@ -89,7 +90,7 @@ class ContactCandidates:
 
     @cached_property
     def _range_samples(self) -> np.ndarray:
-        """Exponents (C, P) evenly in the range, at the initial size."""
+        """Exponents (C, P), spread evenly over the range, at the initial size."""
         indices = self.parameter_indices
         amplitude = indices[0]
         chi = np.repeat(self.start[None], 2**LOG2_CANDIDATES, axis=0)
@@ -113,9 +114,9 @@ class ContactCandidates:
         return self._most_plausible(near)
 
     def _most_plausible(self, chi: np.ndarray) -> np.ndarray:
-        """Select candidates that touch the string as it departs, and never the hand.
+        """Select candidates that touch the string when it departs, and never the hand.
 
-        In a trial without a departure the best candidates never touch.
+        The best candidates do not touch the string in trials without a departure.
         """
         chi = chi[~self._force_is_nonzero(chi, self.hand_path).any(axis=1)]
         square_delay = np.zeros(len(chi))  # between touch and departure, over trials
@@ -132,7 +133,7 @@ class ContactCandidates:
             delay = np.abs(first_touch - min(departure, after_end))
             square_delay += np.minimum(delay, CONTACT_DELAY_S) ** 2
             fractions += touches.mean(axis=1)
-            # What acts on more is no contact, whatever it does in other trials
+            # Drop those that already act on too much of the path
             possible = fractions < most
             chi = chi[possible]
             square_delay = square_delay[possible]
@@ -165,7 +166,7 @@ class ContactCandidates:
             for slot in vector_slots:
                 own = own_material[batch]
                 vectors.append(vector_slot_sum(only_this, own, slot, known))
-            for vector in vectors:  # its components apart: a reduction is slow
+            for vector in vectors:  # component by component: a reduction is slow
                 is_nonzero[batch] |= (vector[..., 0] != 0) | (vector[..., 1] != 0)
         return is_nonzero
 
@@ -190,7 +191,7 @@ def contact_candidates(
     hypothesis: Hypothesis,
     seed: int,
 ) -> ContactCandidates:
-    """Prepare the search of contacts of a hypothesis' last cause about its parent."""
+    """Prepare the search of contacts for the last cause of a hypothesis."""
     effect = hypothesis.causes[-1]
     model = parent.hypothesis.model
     values = parameter_values(parent.hypothesis.parameters, parent.chi[None])
@@ -227,8 +228,8 @@ def _departure_times(
 ) -> np.ndarray:
     """Find when the discrepancy of each trial, (2 n,) over sigma, is first large [s].
 
-    It must exceed noise, and a fraction of the largest in any trial; the time is
-    infinite where it never does.
+    It must exceed noise and a fraction of the largest one in any trial. Otherwise the
+    time is infinite.
     """
     distances_m = []
     for trial, discrepancy in zip(trials, discrepancies, strict=True):
@@ -252,13 +253,17 @@ def path_arguments(
     Parameters
     ----------
     points : numpy.ndarray, shape (F, n, 2)
-        Mass points [m]; the one in the hand is left out. They have the prefixes of
-        laws: v for velocity, u for velocity relative to the air, taken as still, and t
-        for the tangent.
+        Mass points [m]; the one in the hand is left out.
     s : numpy.ndarray, shape (n,)
         Arc lengths [m].
     times : numpy.ndarray, shape (F,)
-        [s].
+        Frame times [s].
+
+    Returns
+    -------
+    dict
+        Names have the prefixes of laws: v for velocity, u for velocity relative to
+        still air, and t for the tangent.
     """
     velocity = np.zeros_like(points)
     if len(times) > 1:

@@ -18,7 +18,7 @@ from stringcast.stages.inference.profile import profile_reaches
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.kept_results import keep_results
 
-MIN_SHOWN_CORRELATION = 0.8  # two such parameters are better read together
+MIN_SHOWN_CORRELATION = 0.8
 
 
 def parameter_uncertainty(
@@ -32,17 +32,17 @@ def parameter_uncertainty(
     Parameters
     ----------
     data : TrialData
-        To which the fit belongs.
+        The data of the fit.
     fit : Fit
     background : sequence of numpy.ndarray
-        What other effects do about the fit, as of `background_effects`.
+        Responses to other effects (`background_responses`).
     half_width : float
-        Of the intervals, in standard deviations.
+        Half width of the intervals in standard deviations.
 
     Returns
     -------
     dict
-        As in diagnosis.json: intervals by name, and the most correlated pairs first.
+        For diagnosis.json: intervals by name, and the most correlated pairs first.
     """
     posterior = posterior_with_background(data, fit, background)
     reaches = _interval_reaches(data, fit, posterior, half_width)
@@ -70,10 +70,10 @@ def parameter_uncertainty(
 def _interval_reaches(
     data: TrialData, fit: Fit, posterior: BackgroundPosterior, half_width: float
 ) -> np.ndarray:
-    """Compute how far each exponent of a fit reaches below and above, (P, 2).
+    """Compute how far the interval of each exponent reaches below and above, (P, 2).
 
-    The fit is not the mean of its posterior, so that its error has a mean as well.
-    Parameters of causes may reach farther than a normal posterior.
+    The distance of the fit from the posterior mean is added as a bias. Intervals of
+    causes' parameters also follow the profile likelihood.
     """
     bias = posterior.mean - fit.chi
     reach = half_width * np.hypot(posterior.standard_deviation, bias)
@@ -90,7 +90,7 @@ def _interval_reaches(
 def _profile_reaches(
     data: TrialData, fit: Fit, indices: Sequence[int], half_width: float
 ) -> np.ndarray:
-    """Compute how far some exponents of a fit reach below and above, (I, 2)."""
+    """Compute how far profile intervals of some exponents reach, (I, 2)."""
     likelihood = hypothesis_likelihood(data, fit.hypothesis, fit.grid_points)
     white_slopes = likelihood.data.whiten(fit.slopes, fit.grid_points)
     precision = white_slopes @ white_slopes.T

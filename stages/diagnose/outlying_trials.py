@@ -1,8 +1,8 @@
-"""A trial that the others do not predict, though they predict each other.
+"""Detection of a trial that the others do not predict, though they predict each other.
 
-Something happened in it alone: its string touched something, its marker was lost, or it
-belongs to another motion. No other trial can confirm a cause in it, and its misfit
-would hide what the others agree on.
+Something may have happened only there: its string touched something, its marker was
+lost, or it belongs to another motion. No other trial can confirm such a cause, and its
+misfit would hide causes common to the others.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from stringcast.stages.diagnose.selection_state import SelectionState
 
 MIN_TRIALS = 4  # three that agree against one
 OUTLYING = "the others predict its tip"  # begins the reason
-MAX_ERROR_RATIO = 10.0  # to the median of the others; motions alone make it 3 or so
+MAX_ERROR_RATIO = 10.0  # over the median of the others; some 3 by different motions
 
 
 def find_outlying_trial(state: SelectionState, criteria: Criteria) -> dict[str, str]:
     """Find the trial that the others predict far worse than each other.
 
-    Each trial is predicted by a fit to the others, with the causes found.
+    Each trial is predicted by a fit of the present causes to the others.
 
     Returns
     -------
@@ -51,9 +51,9 @@ def find_outlying_trial(state: SelectionState, criteria: Criteria) -> dict[str, 
 def find_predicted_trials(
     state: SelectionState, excluded: Sequence[Observation], criteria: Criteria
 ) -> list[str]:
-    """Find excluded trials that the causes found without them predict after all.
+    """Find excluded trials that are predicted by the causes found without them.
 
-    They were outlying by causes, or a string, that were wrong.
+    They seemed to be outlying because causes or string parameters were wrong.
 
     Returns
     -------

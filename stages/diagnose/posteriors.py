@@ -1,10 +1,10 @@
 """Posterior probabilities of the effects in the place of each accepted cause.
 
-In each place all candidates compete, and none among them, while every effect may be a
-little wrong everywhere (`background_effects`). Trials are a sample of those that might
-have been: probabilities are averaged over a Bayesian bootstrap of them (pseudo-BMA+:
-Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13, 917, 2018). They are also averaged
-over whether the model lacks something (`limit_by_agreement`).
+In each place all candidates and "no effect" compete, while a small amount of every
+effect may be present (`background_effects`). Because trials are a random sample,
+probabilities are averaged over a Bayesian bootstrap of them (pseudo-BMA+: Yao, Vehtari,
+Simpson, Gelman, Bayesian Analysis 13, 917, 2018). They are also averaged over whether
+misfit remains (`limit_by_agreement`).
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
 
-BOOTSTRAP_SAMPLES = 100  # probabilities are then known to 0.05
-LOGGED_CAUSES = 5  # the most probable of a place
+BOOTSTRAP_SAMPLES = 100  # gives probabilities within 0.05
+LOGGED_CAUSES = 5  # the most probable ones of each place
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,13 @@ class SingleEffectPosterior:
     Attributes
     ----------
     probabilities : dict
-        Of each candidate, and of none (""); they sum to one.
+        Probability of each candidate and of none (""); they sum to one.
     fits : dict
-        Of the candidates that were fitted.
+        Fits of the candidates that were fitted.
     fit_without : Fit
-        With nothing in this place.
+        The fit with nothing in this place.
     data : TrialData
-        To which they were fitted.
+        The data of these fits.
     """
 
     probabilities: Mapping[str, float]
@@ -79,21 +79,21 @@ class SingleEffectPosterior:
 
     @property
     def ranked_causes(self) -> list[str]:
-        """The candidates, and none (""), the most probable first."""
+        """The candidates and none (""), the most probable first."""
         return sorted(self.probabilities, key=lambda name: -self.probabilities[name])
 
     @property
     def holds_a_cause(self) -> bool:
-        """Whether the place more likely holds a cause than not."""
+        """Whether the place probably has a cause."""
         return self.presence > 0.5
 
     @property
     def likeliest_cause(self) -> str:
-        """The most probable candidate, or none ("") if the place is likely empty."""
+        """The most probable candidate, or none ("") if the place is probably empty."""
         return next(filter(None, self.ranked_causes)) if self.holds_a_cause else ""
 
     def credible_set(self, coverage: float) -> tuple[str, ...]:
-        """Take the fewest candidates with so much probability, as they are ranked."""
+        """Select the fewest candidates whose probability reaches the coverage."""
         ranked = self.ranked_causes
         total = np.cumsum([self.probabilities[name] for name in ranked])
         last = int(np.searchsorted(total, coverage * total[-1]))
@@ -108,9 +108,9 @@ class Posteriors:
     ----------
     state : SelectionState
     background : sequence of numpy.ndarray
-        What other effects do about the fit, as of `background_effects`.
+        Responses to other effects (`background_responses`).
     by_cause : tuple of SingleEffectPosterior
-        In the order of acceptance; one if nothing was accepted.
+        Posteriors in the order of acceptance; one if nothing was accepted.
     """
 
     state: SelectionState
@@ -124,10 +124,10 @@ def swap_lookalikes_until_stable(
     criteria: Criteria,
     seed: int,
 ) -> Posteriors:
-    """Replace causes by more probable look-alikes until none is left.
+    """Replace causes by more probable look-alikes until there are none.
 
-    Each change starts anew, and the last posteriors are those of all places: after as
-    many changes as causes, one more is made without new posteriors.
+    After each replacement all posteriors are computed again. Replacements are limited
+    to the number of causes; one more is made without new posteriors.
     """
     changes_left = len(state.fit.hypothesis.causes)
     is_settled = False
@@ -166,10 +166,10 @@ def _more_probable_fit(
     state: SelectionState,
     criteria: Criteria,
 ) -> Fit | None:
-    """Find the fit with what is more probable in a place, or None.
+    """Find the fit with a more probable candidate in a place, or None.
 
-    A credible set that holds a cause of the model, in whichever place, is no reason to
-    change, unless the place is more likely empty than not.
+    Nothing is changed if the credible set contains a cause of the model in any place,
+    unless the place is probably empty.
     """
     names = state.fit.hypothesis.cause_names
     credible = posterior.credible_set(criteria.coverage)
@@ -184,7 +184,7 @@ def with_most_probable_causes(
     state: SelectionState,
     posteriors: Sequence[SingleEffectPosterior],
 ) -> SelectionState:
-    """Put the likeliest effect into each place if the evidence is then higher."""
+    """Put the likeliest effect into each place if that raises the evidence."""
     likeliest = {}  # by cause, in the order of the places
     for posterior in posteriors:
         fit = posterior.fits.get(posterior.likeliest_cause)
@@ -213,8 +213,8 @@ def _single_effect_posteriors(
 ) -> Iterator[SingleEffectPosterior]:
     """Compute the posterior of each place, the last one first.
 
-    The last cause is most often a look-alike of another. Causes that are not to be
-    named have none. If there is no cause, the posterior is of what was not accepted.
+    The last cause is most often a look-alike. Causes that are not named have no
+    posterior. Without causes, the posterior is that of the candidates not accepted.
     """
     causes = state.nameable_causes
     weights = bootstrap_weights(len(state.prepared.data.trials), seed)
@@ -241,7 +241,7 @@ def _compare_alternatives(
     criteria: Criteria,
     seed: int,
 ) -> SelectionStep:
-    """Compare what else may be in the place of a cause, the others staying."""
+    """Compare candidates for the place of a cause, given the others."""
     hypothesis = state.fit.hypothesis
     if cause is hypothesis.causes[-1]:
         step = _comparison_at_acceptance(state)
@@ -252,7 +252,7 @@ def _compare_alternatives(
     reordered = others.with_cause(cause)
     chi = reordered.exponents_from(state.fit.exponents)
     contested = evaluate_fit(data, reordered, chi)
-    # Parameters that made up for the cause may lead to a poor minimum without it
+    # The parameters with the cause may be a poor start without it
     starts = (state.fit, state.prepared.base_fit)
     parents = [refit(data, start, others) for start in starts]
     parent = max(parents, key=lambda fit: fit.log_evidence)
@@ -269,8 +269,7 @@ def _compare_alternatives(
 def _comparison_at_acceptance(state: SelectionState) -> SelectionStep | None:
     """Return the step that accepted the last cause, unless the fit has moved since.
 
-    Where the string is another, it leaves other things to explain, and another cause
-    may explain them.
+    With other string parameters, another cause may explain the remaining misfit.
     """
     data = state.prepared.data
     hypothesis = state.fit.hypothesis
@@ -287,7 +286,7 @@ def _comparison_at_acceptance(state: SelectionState) -> SelectionStep | None:
 
 
 def bootstrap_weights(trials: int, seed: int) -> np.ndarray:
-    """Draw how often each trial counts in a Bayesian bootstrap, (samples, K)."""
+    """Draw weights of trials for a Bayesian bootstrap, (samples, K)."""
     # A random stream apart from those of the fits
     rng = np.random.default_rng([seed, BOOTSTRAP_SAMPLES])
     return trials * rng.dirichlet(np.ones(trials), BOOTSTRAP_SAMPLES)
@@ -302,16 +301,16 @@ def single_effect_posterior(
 ) -> SingleEffectPosterior:
     """Compute the probability of each candidate of a step, and of none.
 
-    Only fits on common data compete, if there are any, and none at the end of its
-    range, which most likely stands for another cause. An effect that moves the tip by
-    less than counts is counted as none. Effects that differ by less than what is left
-    unexplained are equally probable, and those with which trials cannot be simulated
-    well enough.
+    If there are fits on common data, only these compete. A cause at the end of its
+    range does not compete, because it probably stands for another one. The probability
+    of effects below the smallest tip shift is added to that of none. Effects that
+    differ by less than the unexplained misfit are equally probable. So are those with
+    which trials cannot be simulated well enough.
 
     Parameters
     ----------
     weights : numpy.ndarray, shape (samples, K)
-        How often each trial counts.
+        Bootstrap weights of the trials.
     candidates : int
         Number of effects that share the prior probability of one being active.
     """
@@ -341,7 +340,7 @@ def single_effect_posterior(
 
 
 def _fits_within_range(fits: Sequence[Fit]) -> dict[str, Fit]:
-    """Select the fits whose last cause is inside its range, by its name."""
+    """Select the fits whose last cause is inside its range, by name of the cause."""
     by_name = {}
     for fit in by_evidence(fits):
         cause = fit.hypothesis.causes[-1]
@@ -356,17 +355,17 @@ def _shared_probabilities(
     fits: Mapping[str, Fit],
     unresolved: Container[str],
 ) -> dict[str, float]:
-    """Share the probability among effects whose difference the remainder may hide.
+    """Share the probability among effects that differ by less than the misfit.
 
-    What none of them explains may be what one has too little of, or another too much:
-    evidence does not know what is missing, and is sure of the difference without reason
-    (Brynjarsdottir, O'Hagan, Inverse Problems 30, 114007, 2014).
+    The misfit that none explains may be just the difference between two of them. The
+    evidence does not account for that and is overconfident (Brynjarsdottir, O'Hagan,
+    Inverse Problems 30, 114007, 2014).
 
     Returns
     -------
     dict of str to float
-        Of the most probable effect, those that are at the tip no farther from it than
-        the measured tips are, and those that are unresolved.
+        Equal probabilities of the most probable effect, of those that differ from it at
+        the tip by no more than its misfit, and of unresolved ones.
     """
     names = [name for name in probabilities if name]
     if len(names) < 2:
@@ -388,21 +387,21 @@ def limit_by_agreement(
     candidates: int,
     min_tip_shift_m: float,
 ) -> Posteriors:
-    """Limit the probability of causes, if misfit remains, to what trials agree on.
+    """Limit the probability of causes by the agreement of trials if misfit remains.
 
-    The evidence of a model that lacks something is too sure of itself. Then a cause is
-    at most as probable as by the scatter of its estimates between trials (`agreement`).
-    What the trials agree on may still stand in for something outside the library. How
-    much it explains says how probable that is (`stand_ins`).
+    The evidence of an incomplete model is overconfident. Then the limit is the
+    probability from the scatter of the cause's estimates between trials (`agreement`),
+    times the probability that the cause does not stand in for something outside the
+    library (`stand_ins`).
 
     Parameters
     ----------
     misfit_probability : float
-        That the model lacks something.
+        Probability that misfit remains.
     candidates : int
         Number of effects that share the prior probability of one being active.
     min_tip_shift_m : float
-        By which a cause that depends on place moves the tip where it acts [m].
+        Tip shift above which a cause that depends on place acts in a trial [m].
     """
     state = posteriors.state
     if len(state.prepared.data.trials) < 2:
@@ -431,7 +430,7 @@ def _limit_presence(
     limit: float,
     misfit_probability: float,
 ) -> SingleEffectPosterior:
-    """Limit the probability that any cause is there, with some probability."""
+    """Apply a limit to the presence of a cause, with the probability of misfit."""
     presence = posterior.presence
     if presence <= limit:
         return posterior
@@ -446,7 +445,7 @@ def _limit_presence(
 def inclusion_probabilities(
     posteriors: Sequence[SingleEffectPosterior],
 ) -> dict[str, float]:
-    """Compute the probability that each effect is in one place or another."""
+    """Compute the probability that each effect is in any place."""
     absent: dict[str, float] = {}
     for posterior in posteriors:
         for name, probability in posterior.probabilities.items():

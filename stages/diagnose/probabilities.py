@@ -1,4 +1,4 @@
-"""Probabilities of effects that compete for one place, from their evidence."""
+"""Probabilities of effects in one place from their evidence."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def effect_probabilities(
     Parameters
     ----------
     log_evidence : mapping to numpy.ndarray, shape (samples,)
-        By name of the effect, or names of several; that of none is empty.
+        By name of the effect, or names of several; the name of none is empty.
     candidates : int
         Number of effects that share the prior probability of one being active.
 
     Returns
     -------
     dict
-        Means over the samples.
+        Mean probabilities over the samples.
     """
     prior_of_each = (1 - PRIOR_NO_EFFECT) / candidates
     log_posterior = {}

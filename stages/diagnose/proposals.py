@@ -1,8 +1,8 @@
-"""Which causes are worth a fit, and from where: what each explains to first order.
+"""Proposals of causes to fit, with starts, from what each explains to first order.
 
-Every effect is tried at a few sizes and places of its range. The fitted parameters
-follow by a Gauss-Newton step, and the size is taken where the effect explains most.
-Such scores decide what is fitted, never what is named.
+Every effect is simulated at a few sizes and places of its range. The fitted parameters
+are adapted by a Gauss-Newton step, and the best size is chosen. The gains decide which
+causes are fitted, never which are named.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from stringcast.stages.workers import map_in_workers
 
 qmc = LazyModule("scipy.stats.qmc")  # takes 0.4 s
 
-# Of the way from absent to the end of a range: where the tip shift is measured
+# Size of a probe, as a fraction of the range, from which the tip shift is scaled
 PROBE_FRACTION = 0.03
 MIN_PROBE_FRACTION = PROBE_FRACTION**2
 PROBE_TIP_SHIFTS_M = TIP_SHIFT_WIDTHS_M[1:3]
 NEGLIGIBLE_TIP_SHIFT_M = 1e-7
-MAX_EXTRAPOLATION = 2.0  # of a probe's size, where it is still about linear
+MAX_EXTRAPOLATION = 2.0  # of a probe's size, within which it is about linear
 STARTS_PER_EFFECT = 3
-PARAMETER_GRID = (np.arange(8) + 0.5) / 8  # other values of a cause's parameter
-REFINEMENT_RADII = (0.06, 0.03, 0.015)  # of a range, about the best contacts
+PARAMETER_GRID = (np.arange(8) + 0.5) / 8  # trial exponents of a cause's parameter
+REFINEMENT_RADII = (0.06, 0.03, 0.015)  # of a range, around the best contacts
 REFINED_CANDIDATES = 4
 NEGLIGIBLE_RESPONSE_SIGMAS = 1e-6
 
@@ -57,13 +57,13 @@ class Proposal:
     Attributes
     ----------
     hypothesis : Hypothesis
-        With the cause last.
+        The hypothesis with the cause last.
     starts : numpy.ndarray, shape (C, P)
         Exponents, the most promising first.
     gain : float
-        Of the log-likelihood at the first start, to first order.
+        Gain in log-likelihood at the first start, to first order.
     direction : numpy.ndarray, shape (N,)
-        What the cause does that the fitted parameters cannot, white.
+        White response to the cause that the fitted parameters cannot imitate.
     """
 
     hypothesis: Hypothesis
@@ -73,13 +73,13 @@ class Proposal:
 
     @property
     def effect(self) -> type[Effect]:
-        """The cause that is proposed."""
+        """The proposed cause."""
         return self.hypothesis.causes[-1]
 
     def cosine_similarity(self, other: Proposal) -> float:
-        """Compare what both do that the fitted parameters cannot.
+        """Compute the cosine between the directions of two proposals.
 
-        The square is the share of what one explains that the other could, to first
+        Its square is the share of one cause's gain that the other could reach, to first
         order.
         """
         size = float(np.linalg.norm(self.direction) * np.linalg.norm(other.direction))
@@ -110,7 +110,7 @@ def effects_left_out(
     trials: Sequence[PreparedTrial],
     excluded: Sequence[str] = (),
 ) -> dict[str, str]:
-    """Return the reason for each effect that is no candidate, by name.
+    """Return the reason for each effect that is not a candidate, by name.
 
     Parameters as of `candidate_effects`.
     """
@@ -143,11 +143,11 @@ def propose_causes(
 ) -> list[Proposal]:
     """Propose effects in addition to those of a fit, the most promising first.
 
-    Effects that can act nowhere in these trials are left out.
+    Effects that cannot act in these trials are left out.
     """
     linear = LinearisedFit(data, parent)
     qmc.import_now()
-    # A search of contacts takes longest
+    # Contacts first, because their search takes longest
     ordered = sorted(effects, key=is_position_dependent, reverse=True)
     found_by_effect = map_in_workers(
         lambda effect: _propose_effect(linear, effect, seed), ordered
@@ -175,9 +175,9 @@ def _propose_effect(
 
 
 def alternative_parameter_starts(data: TrialData, fit: Fit) -> np.ndarray:
-    """Find other values of the causes' parameters that promise more, (C, P).
+    """Find starts (C, P) with other values of the causes' parameters.
 
-    Parameters that say when or where an effect acts have many local optima.
+    Parameters of the place or time of an effect have many local optima.
     """
     linear = LinearisedFit(data, fit)
     hypothesis = fit.hypothesis
@@ -199,9 +199,9 @@ def _propose_global_effect(
     effect: type[Effect],
     seed: int,
 ) -> tuple[np.ndarray, ...]:
-    """Propose an effect that acts wherever the string is, at any time.
+    """Propose an effect that acts at all places and times.
 
-    Returns as `_propose_effect`, and so does `_propose_contact`.
+    Returns the same as `_propose_effect`.
     """
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     start = hypothesis.exponents_from(linear.parent.exponents)
@@ -210,7 +210,7 @@ def _propose_global_effect(
     responses = linear.responses(hypothesis, chi)
     steps, remainder = linear.parameter_steps(responses)
 
-    # The multiple of each probe that explains most
+    # The best multiple of each probe
     square = np.sum(remainder**2, axis=1)
     negligible = NEGLIGIBLE_RESPONSE_SIGMAS**2
     multiple = -(remainder @ linear.white_residual) / np.maximum(square, negligible)
@@ -221,7 +221,7 @@ def _propose_global_effect(
     gain = linear.log_likelihood_gains(responses, steps, factors)
     gain = np.where(square > negligible, gain, -np.inf)
 
-    # The best ones, and the fitted parameters as they follow
+    # The best probes, with the adapted parameters
     order = np.argsort(-gain, kind="stable")[:STARTS_PER_EFFECT]
     best = order[0]
     if not np.isfinite(gain[best]):
@@ -243,7 +243,7 @@ def _probe_exponents(
     effect: type[Effect],
     seed: int,
 ) -> np.ndarray:
-    """Choose exponents (C, P) by which an effect moves the tip as far as causes may."""
+    """Choose exponents (C, P) of an effect with typical tip shifts of causes."""
     start = hypothesis.exponents_from(linear.parent.exponents)
     varied = hypothesis.parameter_indices(effect, varied_parameters(effect))
     amplitudes = hypothesis.amplitude_indices(effect)
@@ -261,7 +261,7 @@ def _probe_exponents(
     probes = probes[is_active]
     distance = distance[is_active]
 
-    # Sizes: how far a small fraction moves the tip says which fractions are wanted
+    # Sizes: scale them by the tip shift at a small fraction
     probes[:, amplitudes] = absent + PROBE_FRACTION * distance
     shift_m = linear.data.overall_tip_rms(linear.responses(hypothesis, probes))
     shift_m = np.maximum(shift_m, NEGLIGIBLE_TIP_SHIFT_M)
@@ -281,12 +281,12 @@ def _propose_contact(
 ) -> tuple[np.ndarray, ...]:
     """Propose an effect that depends on place, such as a plane that the string hits.
 
-    One that acts wherever its place is, such as a spring to a fixed point, is proposed
-    as those that do not depend on place.
+    An effect that acts from any place, such as a spring to a fixed point, is proposed
+    like those that do not depend on place.
 
-    Candidates touch the string when it departs from the fit. The search goes closer
-    about those that explain most until shortly after: what happens later depends on
-    everything. The fitted parameters stay.
+    Candidates touch the string when it departs from the fit. The search is refined
+    around those that explain most until shortly after the departure, because the later
+    motion depends on everything. The fitted parameters are not adapted.
     """
     hypothesis = linear.parent.hypothesis.with_cause(effect)
     rng = np.random.default_rng(seed)
@@ -294,7 +294,7 @@ def _propose_contact(
     if contacts.act_everywhere():
         return _propose_global_effect(linear, effect, seed)
     if not np.isfinite(contacts.departure_times).any():
-        return ()  # the string departs nowhere from the fit
+        return ()  # the string never departs from the fit
     end_times = contacts.departure_times + CONTACT_DELAY_S
     chi = contacts.sample()
     tried = []

@@ -1,18 +1,19 @@
-"""Whether a cause is there or stands in for something unknown, by what it leaves.
+"""The probability that a cause is present and not a stand-in, from the remaining misfit.
 
-While misfit remains, something outside the library moves the string. A cause that is
-not there may do about the same, and then stands in for it. In each trial that the cause
-moves, let r be what is left at the tip over what the cause explains there.
+If misfit remains, something outside the library moves the string. A cause with about
+the same effect may then be accepted as its stand-in. In each trial in which the cause
+acts, let r be the remaining misfit at the tip over the displacement that the cause
+explains.
 
-- If the cause is there, what is unknown may do any multiple of what it does. r is
-  log-uniform, from where the unknown does next to nothing to where it hides the cause.
-- If the cause stands in, it explains any share 1 / (1 + r^2) of the misfit. The share
-  is uniform between those of the same ratios.
+- If the cause is present, the unknown effect may have any size relative to it. r is
+  log-uniform, from a negligible unknown effect to one that hides the cause.
+- If the cause is a stand-in, it explains any share 1 / (1 + r^2) of the misfit. The
+  share is uniform between those of the same limits of r.
 
-Both are as likely before the data speak. What is left before a discrepancy begins
-counts alone where the cause moves the tip before that: there the model holds. Casts of
-a set are alike, and so are their ratios. So the mean of the trials' log Bayes factors
-counts as one trial.
+Both have the same prior probability. If the cause moves the tip before the onset of the
+discrepancy, only the time before the onset is used, because there the model holds.
+Casts of a dataset are similar, and so are their ratios. So the mean of the trials' log
+Bayes factors counts like one trial.
 """
 
 from __future__ import annotations
@@ -25,28 +26,28 @@ from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData, subtract_by_trial
 
-SMALLEST_RATIO = 0.02  # of what is left to what a cause explains: noise leaves as much
+SMALLEST_RATIO = 0.02  # of remaining to explained displacement: the level of noise
 LARGEST_RATIO = 3.0  # the cause then explains a tenth of the mean square misfit
 
 
 def explained_shares(
     data: TrialData, without: Fit, fit: Fit, min_tip_shift_m: float
 ) -> np.ndarray:
-    """Compute how much of the misfit at the tip a cause explains in each trial.
+    """Compute the share of the misfit at the tip that a cause explains in each trial.
 
     Parameters
     ----------
     data : TrialData
     without, fit : Fit
-        Without the cause and with it.
+        The fits without the cause and with it.
     min_tip_shift_m : float
-        Trials in which it moves the tip by less do not count [m], nor do those in which
-        nothing is left without it.
+        Trials in which the cause moves the tip by less are left out [m], and those
+        without misfit.
 
     Returns
     -------
-    numpy.ndarray, shape (trials that count,)
-        Shares of the mean square; negative where more is left with the cause.
+    numpy.ndarray, shape (remaining trials,)
+        Shares of the mean square; negative if the cause increases the misfit.
     """
     before = mean_discrepancy(data, without)
     after = mean_discrepancy(data, fit)
@@ -67,18 +68,18 @@ def explained_shares(
 
 
 def _tip_rms(trial: PreparedTrial, residual: np.ndarray, chosen: np.ndarray) -> float:
-    """Compute the root mean square of displacements of chosen points [m].
+    """Compute the root mean square displacement of chosen points [m], or 0 if none.
 
-    residual: over sigma, (2 n,). chosen: a mask, (n,); 0 if it chooses none.
+    residual: displacements over sigma, (2 n,). chosen: a mask, (n,).
     """
     displacements = trial.displacements_m(residual)[chosen]
     return rms(np.hypot(*displacements.T)) if len(displacements) else 0.0
 
 
 def probability_by_shares(shares: np.ndarray) -> float:
-    """Compute the probability that a cause is there and does not stand in.
+    """Compute the probability that a cause is present and not a stand-in.
 
-    shares: of the mean square misfit that it explains, by trial, (K,).
+    shares: shares of the mean square misfit that it explains, by trial, (K,).
     """
     if not shares.size:
         return 0.5
@@ -86,7 +87,7 @@ def probability_by_shares(shares: np.ndarray) -> float:
     most = 1 / (1 + SMALLEST_RATIO**2)
     share = np.clip(shares, least, most)
     log_ratios = np.log(LARGEST_RATIO / SMALLEST_RATIO)
-    if_there = 1 / (2 * log_ratios * share * (1 - share))
+    if_present = 1 / (2 * log_ratios * share * (1 - share))
     if_stand_in = 1 / (most - least)
-    log_bayes_factor = np.mean(np.log(if_there / if_stand_in))
+    log_bayes_factor = np.mean(np.log(if_present / if_stand_in))
     return float(1 / (1 + np.exp(-log_bayes_factor)))
