@@ -1,10 +1,10 @@
-"""Every effect may be a little wrong everywhere: evidence and intervals with that.
+"""Evidence and intervals with a small amount of every effect in the background.
 
-The effects of a library are never exactly absent. In addition to the causes of a
-hypothesis, every effect may move the tip by a normal deviate of one small scale [m]
-that all trials share and the data determine (SuSiE-inf: Cui et al., Nature Genetics 56,
-162, 2024: a sparse sum and many small effects). This is linear about a fit and costs no
-further fit.
+No effect of the library is exactly absent. In addition to the causes of a hypothesis,
+every effect may move the tip by a normal deviate. Its small scale [m] is common to all
+effects and trials and estimated from the data (SuSiE-inf, a sparse sum and many small
+effects: Cui et al., Nature Genetics 56, 162, 2024). This is linearised at a fit, so
+that no further fit is needed.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from stringcast.stages.model.effect import Effect, is_position_dependent
 
 # The smaller scales of the discrepancy, with the same prior
 BACKGROUND_SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < 2e-3]
-PROBE_FRACTION = 0.01  # of the way from absent to the end of a range: about linear
+PROBE_FRACTION = 0.01  # size of a probe as a fraction of the range: about linear
 
 
 @dataclass(frozen=True)
 class BackgroundPosterior:
-    """Parameters of a fit, such as its exponents, with every effect a little wrong.
+    """A normal posterior of parameters, such as exponents, with background effects.
 
     Attributes
     ----------
@@ -64,14 +64,14 @@ def background_responses(
     fit: Fit,
     effects: Sequence[type[Effect]],
 ) -> ByTrial:
-    """Simulate what each effect does about a fit, scaled to 1 m at the tip.
+    """Compute the response to each effect at a fit, scaled to 1 m at the tip.
 
-    Effects that depend on place are left out: they do nothing but where they touch.
+    Effects that depend on place are left out, because they act only where they touch.
 
     Returns
     -------
     list of numpy.ndarray, shape (E, 2 n)
-        Of each trial, over sigma.
+        Responses of each trial over sigma.
     """
     responses = [[np.zeros((0, 2 * len(trial.s)))] for trial in data.trials]
     for effect in effects:
@@ -99,7 +99,7 @@ def _append_scaled(
     data: TrialData,
     changes: ByTrial,
 ) -> None:
-    """Append displacements (C, 2 n) per metre at the tip, if they can be simulated."""
+    """Append displacements (C, 2 n) per metre at the tip, except diverged ones."""
     shift_m = data.overall_tip_rms(changes)
     largest = np.max([np.abs(change).max(axis=1) for change in changes], axis=0)
     kept = (largest <= DIVERGED_RESIDUAL / 2) & (shift_m > 0)
@@ -133,13 +133,13 @@ def posterior_of_steps(
     Parameters
     ----------
     slopes : sequence of numpy.ndarray, shape (P, 2 n)
-        Of each trial's residuals over sigma with the parameters.
+        Derivatives of each trial's residuals over sigma by the parameters.
     precision : numpy.ndarray, shape (P,)
-        Of the steps' normal priors.
+        Precision of the steps' normal priors.
     background : sequence of numpy.ndarray, shape (E, 2 n)
-        As of `background_responses`.
+        Responses to other effects (`background_responses`).
     scales_m : numpy.ndarray, shape (S,)
-        Of the background: the first scales of a discrepancy [m].
+        Scales of the background: the first ones of DISCREPANCY_SCALES_M [m].
     """
     by_trial, gradient_by_trial = _normal_equations_by_trial(
         data, fit, slopes, background
@@ -156,7 +156,7 @@ def posterior_of_steps(
         means.append(step[:count])
         covariances.append(np.linalg.inv(normal)[:count, :count])
 
-    # Moments of a mixture of normal posteriors, one of each scale
+    # Moments of a mixture of normal posteriors, one for each scale
     log_weight = np.array(log_evidence) + log_scale_prior()[: len(scales_m)]
     weight = np.exp(log_weight - logsumexp(log_weight))
     mean = weight @ np.array(means)
@@ -172,19 +172,19 @@ def background_log_evidence_gains(
     background: ByTrial,
     weights: np.ndarray,
 ) -> np.ndarray:
-    """Gain of a fit's log evidence by the background, (D,), over none of it.
+    """Gain of a fit's log evidence by the background, (D,).
 
     Parameters
     ----------
     weights : numpy.ndarray, shape (D, K)
-        How often each trial counts.
+        Bootstrap weights of the trials.
     """
     by_trial, gradient_by_trial = _normal_equations_by_trial(
         data, fit, fit.slopes, background
     )
     products = np.tensordot(weights, by_trial, 1)
     gradient = weights @ gradient_by_trial
-    # Amplitudes of causes as well: it only keeps the equations solvable
+    # Also for amplitudes of causes, to keep the equations solvable
     precision = np.full(len(fit.chi), PRIOR_PRECISION)
     by_scale = []
     for scale_m in BACKGROUND_SCALES_M:
@@ -202,14 +202,14 @@ def _normal_equations_by_trial(
     slopes: ByTrial,
     background: ByTrial,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Multiply white slopes of parameters and background, M in all.
+    """Compute normal equations of parameters, then background, M in all.
 
     Returns
     -------
     products : numpy.ndarray, shape (K, M, M)
-        Those of parameters first.
+        Products of white slopes.
     gradients : numpy.ndarray, shape (K, M)
-        Slopes times the white residual.
+        White slopes times the white residual.
     """
     data = data.for_hypothesis(fit.hypothesis)
     grid_points = fit.grid_points
@@ -234,7 +234,7 @@ def _solve_at_scale(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve the normal equations (..., M, M) with a background of one scale.
 
-    precision: of the parameters' normal priors about the fit, (P,).
+    precision: precision of the parameters' normal priors, centred at the fit, (P,).
 
     Returns
     -------

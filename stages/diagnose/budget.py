@@ -26,7 +26,7 @@ class BudgetEntry:
     tip_rms_m : float
         Root mean square at the tip over all trials [m].
     log_evidence : float
-        That the fit loses without a cause; NaN of what is no cause.
+        Loss of log evidence without the cause; NaN if the source is not a cause.
     """
 
     source: str
@@ -45,7 +45,7 @@ class ErrorBudget:
     unexplained_m : tuple of float
         Value and 95 % interval of what is left [m].
     nested_fits : tuple of Fit
-        With no cause, with the first, and so on.
+        Fits with no cause, with the first, and so on.
     """
 
     entries: tuple[BudgetEntry, ...]
@@ -60,8 +60,8 @@ def error_budget(
 ) -> ErrorBudget:
     """Divide the base model's misfit among causes, numerical error, noise and the rest.
 
-    Causes share in the order of acceptance. What is left of the misfit in addition to
-    noise and numerical error, as far as these are known, is unexplained.
+    Causes are added in the order of acceptance. The unexplained part is the remaining
+    misfit without noise and the uncertainty of numerical error.
     """
     data = state.prepared.data
     fits = nested_fits(state, base)
@@ -70,7 +70,7 @@ def error_budget(
         residuals = residuals_without_nuisance(data, fit)
         mean_squares.append(np.mean(data.tip_rms_by_trial(residuals) ** 2))
     squares = np.minimum.accumulate(mean_squares)
-    shares = squares[:-1] - squares[1:]  # of the causes; not np.diff, for 0 and not -0
+    shares = squares[:-1] - squares[1:]  # of causes; np.diff would give -0
 
     entries = []
     full = fits[-1]

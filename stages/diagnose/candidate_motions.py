@@ -1,4 +1,4 @@
-"""Random motions of the arm, and the trials that they would make."""
+"""Random motions of the arm, and synthetic trials of them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
-# Violent casts are hard to simulate: slower motions are tried as well
+# Violent casts are hard to simulate, so slower motions are tried, too
 ACCELERATION_FACTORS = (1.0, 0.5, 0.25, 0.12)
 MOTIONS_PER_DRAW = 512
 MAX_DRAWS = 200
-POINTS_PER_FRAME = 8  # they stand for all that are measured
+POINTS_PER_FRAME = 8  # they represent all measured points
 MAX_FRAME_RATE_HZ = 100
 
 PositiveNumber = Annotated[float, Field(gt=0)]
@@ -58,7 +58,7 @@ def sample_motions_within_limits(
 ) -> Curves:
     """Sample random motions within the arm's limits.
 
-    There are fewer than wanted where hardly any motion is allowed.
+    There are fewer than `design.motions` if hardly any motion is allowed.
     """
     arm = model.arm
     kept = []
@@ -85,18 +85,18 @@ def synthetic_trial(
     like: PreparedTrial,
     design: DesignSettings,
 ) -> PreparedTrial:
-    """Make the trial that a motion would make, with all points at the origin.
+    """Make the trial of a motion, with all points at the origin.
 
     Parameters
     ----------
     curve : Curves
-        Of one motion.
+        A single motion.
     like : PreparedTrial
-        A measured trial whose places along the string and noise the new one has.
+        A measured trial, whose noise and arc lengths of points are used.
     """
     tick = model.arm.tick
     duration = float(curve.duration[0])
-    # Sampled beyond the end: joints that lag arrive later
+    # Sample beyond the end, because joints with a lag arrive later
     motion = JointMotion(0.0, tick, *curve.sample(tick, duration + design.after))
     fullest = like.frame == np.argmax(np.bincount(like.frame))
     measured = like.s[fullest]
@@ -116,7 +116,7 @@ def synthetic_trial(
 
 
 def with_represented_points(trial: PreparedTrial, like: PreparedTrial) -> PreparedTrial:
-    """Make each point of a synthetic trial as certain as all those it stands for."""
+    """Reduce sigma of each synthetic point to that of all points it represents."""
     points_per_frame = len(like.s) / len(like.times) / (len(trial.s) / len(trial.times))
     frame_time = trial.times[1] - trial.times[0]
     represented = points_per_frame * trial.model.camera.fps * frame_time

@@ -26,7 +26,7 @@ FORMAT_VERSION = 1
 def trials_document(
     prepared: PreparedData, rejected: Mapping[str, str]
 ) -> dict[str, Any]:
-    """List the trials that are used, and what is left out, as in diagnosis.json."""
+    """List used and rejected trials and counts of unused points for diagnosis.json."""
     return {
         "used": [trial.name for trial in prepared.data.trials],
         "rejected": dict(rejected),
@@ -39,12 +39,12 @@ def trials_document(
 
 
 def effects_with_reasons(reasons: Mapping[str, str]) -> list[dict[str, str]]:
-    """List effects, each with the reason by its name, as in diagnosis.json."""
+    """List effects with reasons for diagnosis.json."""
     return [{"effect": name, "reason": reason} for name, reason in reasons.items()]
 
 
 def alternatives_document(judgement: Judgement) -> list[dict[str, Any]]:
-    """List what is not named, with its probability: effects, none, and unknown."""
+    """List the probabilities of effects that are not named, of none, and of unknown."""
     verdict = judgement.verdict
     inclusion = judgement.inclusion_probability
     in_library = 1.0  # probability that what is active is in the library
@@ -63,7 +63,7 @@ def alternatives_document(judgement: Judgement) -> list[dict[str, Any]]:
 
 
 def budget_document(budget: ErrorBudget) -> list[dict[str, Any]]:
-    """List the budget; only causes have evidence."""
+    """List the entries of the budget; only causes have evidence."""
     rows = []
     for entry in budget.entries:
         row = {"source": entry.source, "tip_rms_m": entry.tip_rms_m}
@@ -74,7 +74,7 @@ def budget_document(budget: ErrorBudget) -> list[dict[str, Any]]:
 
 
 def cause_document(causes: pd.DataFrame, name: str) -> dict[str, Any]:
-    """Describe a cause of the table CAUSES as in diagnosis.json."""
+    """Describe a cause of the table CAUSES for diagnosis.json."""
     rows = causes[causes["effect"] == name]
     parameters = {}
     for row in rows.itertuples():
@@ -91,11 +91,11 @@ def cause_document(causes: pd.DataFrame, name: str) -> dict[str, Any]:
 
 
 def gain_document(held_out: pd.DataFrame, used: Sequence[str]) -> dict[str, Any]:
-    """Compare base and extended model over all trials left out.
+    """Compare base and extended model over all left-out trials.
 
-    Numbers that no trial determines are NaN.
+    Without any, numbers are NaN.
 
-    used: names of the trials that the causes were chosen from.
+    used: names of the trials in which causes were searched.
     """
     trials = held_out["trial"].tolist()
     rms_m = {}
@@ -121,7 +121,7 @@ def gain_document(held_out: pd.DataFrame, used: Sequence[str]) -> dict[str, Any]
 
 
 def replace_non_finite(document: Any) -> Any:
-    """Replace every number that is not finite by None: JSON knows no other."""
+    """Replace non-finite numbers by None, because JSON has none."""
     if isinstance(document, Mapping):
         return {name: replace_non_finite(value) for name, value in document.items()}
     if isinstance(document, list | tuple):
@@ -137,7 +137,7 @@ def unexplained_document(
     budget: ErrorBudget,
     criteria: Criteria,
 ) -> dict[str, Any]:
-    """Describe the misfit that is left, as in diagnosis.json."""
+    """Describe the remaining misfit for diagnosis.json."""
     value, low, high = budget.unexplained_m
     fraction = 0.0
     if judgement.verdict.kind != "none":
@@ -149,7 +149,7 @@ def unexplained_document(
     sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
-        # the budget's value, unless numerical error may explain all of it
+        # The value of the budget, unless numerical error may explain all of it
         left_m = value if low > 0 else rms(unexplained_tip_rms(data, fit))
         left_mm = MM_PER_M * left_m
         misfit = f"A misfit of {left_mm:.1f} mm is left at the tip"
@@ -169,7 +169,7 @@ def unexplained_document(
 
 
 def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
-    """Say in which trial, when and where along the string the misfit is largest."""
+    """State in which trial, when and where along the string the misfit is largest."""
     tip_rms = unexplained_tip_rms(data, fit)
     k = int(np.argmax(tip_rms))
     trial = data.trials[k]
@@ -189,7 +189,7 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
 def verdict_sentences(
     judgement: Judgement, causes: pd.DataFrame, unexplained: str
 ) -> list[str]:
-    """State the verdict and what is left, which comes first if causes explain a part.
+    """State verdict and remaining misfit; the latter first if causes explain a part.
 
     unexplained: sentence of `unexplained_document`.
     """
@@ -217,7 +217,7 @@ def _verdict_sentence(judgement: Judgement, causes: pd.DataFrame) -> str:
 
 
 def _cause_sentences(judgement: Judgement, causes: pd.DataFrame) -> list[str]:
-    """State the named causes, look-alikes together."""
+    """State the named causes, with look-alikes in one sentence."""
     verdict = judgement.verdict
     inclusion = judgement.inclusion_probability
     by_effect = causes.drop_duplicates("effect").set_index("effect")["sentence"]
@@ -249,13 +249,13 @@ def extended_model_settings(
     fit: Fit,
     intervals: Mapping[str, Sequence[float]],
 ) -> dict[str, object]:
-    """Write a fit as settings of other stages.
+    """Convert a fit to model settings for other stages.
 
     Parameters
     ----------
     intervals : dict
-        Of parameters that later stages must not leave, by qualified name. Those that
-        were measured beforehand are added.
+        Intervals of parameters for later stages, by qualified name. Those that were
+        measured beforehand are added.
     """
     string = fit.hypothesis.model.string
     values = fit.values
@@ -276,7 +276,7 @@ def extended_model_settings(
     for name, (low, high) in {**intervals, **model.measured_ranges}.items():
         value = float(np.clip(values[name], low, high))
         known[name] = value
-        if low < high:  # at an end of its range an interval may have no width
+        if low < high:  # an interval at an end of its range may have zero width
             known[name] = {"value": value, "low": low, "high": high}
     names = {*fit.hypothesis.cause_names}
     for effect in model.effects:

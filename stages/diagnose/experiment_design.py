@@ -1,17 +1,17 @@
-"""The motion that would decide between look-alikes.
+"""The motion that would best distinguish look-alikes.
 
-Of many random motions it is the one with the largest expected log odds. Each rival may
-move its parameters as far as the measured trials allow, and may leave as much
-unexplained as it does there. To first order the log odds of the true rival over
-another, on one more trial, are normal with mean m and variance 2 m:
+It is the one of many random motions with the largest expected log odds. The parameters
+of each rival are uncertain by as much as the measured trials leave them, and its
+discrepancy is as large as in these. To first order, the log odds of the true rival over
+another in one more trial are normal with mean m and variance 2 m:
 
     m = 1/2 d' (V + J I^(-1) J')^(-1) d
 
 d is the difference of the rivals, J the slopes of the other one, I the information of
 the measured trials about its parameters, and V the covariance of noise and discrepancy.
-All motions are compared by d alone, the most different ones by m. Rivals whose tips
-still differ by no more than what the measured trials leave unexplained stay alike: they
-share their probability (`posteriors`).
+All motions are first compared by d, then the best of them by m. Rivals whose tips
+differ by no more than the unexplained misfit of the measured trials remain look-alikes,
+because they share their probability (`posteriors`).
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.parameter import parameter_values
 
 MAX_COMPARED_MOTIONS = 24
-INSEPARABLE_LOG_ODDS = 1.0  # two rivals with less stay alike
+INSEPARABLE_LOG_ODDS = 1.0  # two rivals with less remain look-alikes
 
 
 @dataclass(frozen=True)
 class ProposedExperiment:
-    """The motion to perform next, empty where none would help.
+    """The motion to perform next, empty if none would help.
 
     Attributes
     ----------
     next_experiment : dict or None
-        As in diagnosis.json; None where nothing is left to decide.
+        As in diagnosis.json; None if nothing is left to decide.
     commands, control_points, predicted : pandas.DataFrame
-        The motion, and the string in it by each rival.
+        The motion, and the string as each rival predicts it.
     """
 
     next_experiment: Mapping[str, Any] | None = None
@@ -82,7 +82,7 @@ class Rivals:
     Attributes
     ----------
     fits : dict
-        By the cause that differs, the likeliest first.
+        Fits by name of the cause that differs, the likeliest first.
     data : TrialData
         The measured trials.
     deciding_log_odds : float
@@ -94,7 +94,7 @@ class Rivals:
 
     @cached_property
     def remainder_m(self) -> float:
-        """The misfit at the tips that the likeliest leaves, root mean square [m]."""
+        """The tips' unexplained misfit by the likeliest rival, root mean square [m]."""
         likeliest = next(iter(self.fits.values()))
         return rms(unexplained_tip_rms(self.data, likeliest))
 
@@ -112,9 +112,10 @@ class Rivals:
         Returns
         -------
         log_odds : numpy.ndarray, shape (R, R)
-            Of each rival, if it is true, over each other.
+            Log odds of each rival, if it is true, over each other.
         predicted : dict of numpy.ndarray, shape (2 n,)
-            Points of each rival over sigma, as near to the likeliest as it can come.
+            Points of each rival over sigma, with parameters that imitate the likeliest
+            best.
         """
         names = list(self.fits)
         fits = list(self.fits.values())
@@ -157,7 +158,7 @@ def design_experiment(
 ) -> ProposedExperiment:
     """Design the motion to perform next.
 
-    None is proposed where one hypothesis stands alone or the arm's joints are unknown.
+    None is proposed if there is only one hypothesis or the arm's joints are unknown.
     """
     measured = rivals.data.trials
     has_joints = all(isinstance(trial.motion, JointMotion) for trial in measured)
@@ -206,8 +207,8 @@ def _most_different_motions(
 ) -> list[int]:
     """Select the motions in which the fitted rivals differ most.
 
-    Motions in which the likeliest string crosses an obstacle, or any cannot be
-    simulated, are left out.
+    Motions are left out if the likeliest string crosses an obstacle or any simulation
+    diverges.
     """
     if not trials:
         return []
@@ -232,7 +233,7 @@ def _most_different_motions(
 
 
 def _odds_summary(log_odds: float, deciding: float) -> dict[str, float]:
-    """Summarise log odds of a mean, and twice that variance."""
+    """Summarise normal log odds with a given mean and twice that variance."""
     deviation = np.sqrt(2 * max(log_odds, 1e-12))
     probability = float(ndtr((log_odds - deciding) / deviation))
     return {

@@ -1,4 +1,4 @@
-"""What a diagnosis gains on trials that were not fitted."""
+"""The gain of the extended model on trials that were not fitted."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def held_out_trials_misfit(
 ) -> bool:
     """Return whether held-out trials misfit by more than the tolerance.
 
-    The model is fitted to them as well: what the searched trials leave open of its
-    parameters is no cause.
+    The model is fitted to them, too, so that undetermined parameters are not mistaken
+    for a cause.
     """
     if not held_out:
         return False

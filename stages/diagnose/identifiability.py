@@ -1,11 +1,11 @@
-"""What trials can show before causes are searched in them.
+"""Detection limits: the least size at which trials would show each effect.
 
-From which size on would each effect be found, and with which other effects would it be
-confused? About the base model, fitted to the trials, each effect is simulated from
-little to the end of its range. What it moves that the string's parameters cannot
-imitate, to first order, must be evident by the rule of a diagnosis: a Bayes factor
-above 1/alpha, with any trial left out, where a smooth discrepancy of unknown scale
-may explain it as well. That is the mean for data with the noise of these trials.
+Starting from the base model fitted to the trials, each effect is simulated from a small
+size to the end of its range. The part of its displacement that the string's parameters
+cannot imitate, to first order, must be evident by the rule of a diagnosis: a Bayes
+factor above 1/alpha without any one trial, in competition with a smooth discrepancy of
+unknown scale. The evidence is the mean for data with the noise of these trials. Effects
+that would explain the same displacement are its look-alikes.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ from stringcast.stages.model.effect import (
 )
 from stringcast.stages.model.parameter import Parameter
 
-# Of the way from absent to the end of a range: each twice the last
+# Sizes of an effect as fractions of its range, with a ratio of about two
 RANGE_FRACTIONS = np.geomspace(1e-5, 1.0, 18)
-MIN_CONFUSABLE_COSINE = 0.5  # between what two effects do
-NOISE_DRAWS = 3  # each with its opposite
-NEGLIGIBLE_RESPONSE = 1e-9  # [m] at the tip, or of noises
+MIN_CONFUSABLE_COSINE = 0.5  # between the responses to two effects
+NOISE_DRAWS = 3  # each is also used with the opposite sign
+NEGLIGIBLE_RESPONSE = 1e-9  # [m] at the tip, or in standard deviations
 
 
 @dataclass(frozen=True)
 class DetectionLimit:
-    """Limit from which trials show an amplitude of an effect.
+    """The least amplitude of an effect that trials would show.
 
     Attributes
     ----------
     effect : type of Effect
     parameter : Parameter
     absent_value : float
-        At which the effect does nothing.
+        The value at which the effect does nothing.
     detectable_value, detectable_tip_shift_m : float
         The nearest value that would be found, and its tip shift, root mean square over
-        all trials [m]; both NaN where no value of the range would be found.
+        all trials [m]; both NaN if no value of the range would be found.
     max_tip_shift_m : float
-        At the end of the range [m].
+        Tip shift at the end of the range [m].
     imitated_fraction : float
-        Of its square over noise, that the string's parameters can imitate.
+        Fraction of the squared white response that the string's parameters imitate.
     lookalikes : tuple of str
         Effects with which it may be confused at the detectable value.
     """
@@ -78,9 +78,10 @@ class _EffectResponse:
     ----------
     chi, tip_shifts_m, imitated_fractions : numpy.ndarray, shape (C,)
     unimitated : list of numpy.ndarray, shape (C, 2 n)
-        Displacement of each trial over sigma that the string's parameters leave.
+        Displacements of each trial over sigma that the string's parameters cannot
+        imitate.
     whitened : numpy.ndarray, shape (C, N)
-        The same, white.
+        The same after whitening.
     """
 
     effect: type[Effect]
@@ -93,7 +94,7 @@ class _EffectResponse:
     imitated_fractions: np.ndarray
 
     def index_near(self, tip_shift_m: float) -> int:
-        """Find the fraction at which the tip moves about that far [m]."""
+        """Find the index of the fraction with about a given tip shift [m]."""
         shifts_m = np.maximum(self.tip_shifts_m, NEGLIGIBLE_RESPONSE)
         return int(np.argmin(np.abs(np.log(shifts_m / tip_shift_m))))
 
@@ -105,18 +106,18 @@ def detection_limits(
     seed: int,
     progress: Progress = lambda share: None,
 ) -> list[DetectionLimit]:
-    """Compute the detection limit of each effect that acts wherever the string is.
+    """Compute the detection limit of each effect that does not depend on place.
 
-    Effects that cannot be simulated are left out.
+    Effects whose simulation diverges are left out.
 
     Parameters
     ----------
     prepared : PreparedData
     effects : sequence of type of Effect
     criteria : Criteria
-        Of the diagnosis.
+        Criteria of the diagnosis.
     seed : int
-        Of the noise.
+        Seed of the noise.
     """
     rng = np.random.default_rng(seed)
     analysis = _SensitivityAnalysis(prepared.data, prepared.base_fit, rng)
@@ -173,17 +174,17 @@ def _detection_threshold(
     excess: np.ndarray,
     min_tip_shift_m: float,
 ) -> tuple[float, float]:
-    """Interpolate where both the evidence and the tip shift are and stay sufficient.
+    """Interpolate the size from which both evidence and tip shift are sufficient.
 
     Parameters
     ----------
     excess : numpy.ndarray, shape (C,)
-        Log evidence beyond what is needed.
+        Log evidence above the required one.
 
     Returns
     -------
     value, tip_shift_m : float
-        NaN if they are sufficient nowhere.
+        NaN if they are never sufficient.
     """
     shifts_m = response.tip_shifts_m
     is_insufficient = (excess < 0) | (shifts_m < min_tip_shift_m)
@@ -216,7 +217,7 @@ class _SensitivityAnalysis:
         self.noise = [_noise_coefficients(t.discrepancy, rng) for t in data.trials]
 
     def effect_responses(self, effect: type[Effect]) -> list[_EffectResponse]:
-        """Simulate each amplitude of an effect, up to where it diverges."""
+        """Simulate each amplitude of an effect, up to the first that diverges."""
         hypothesis = self.base.hypothesis.with_cause(effect)
         start = hypothesis.exponents_from(self.base.exponents)
         parameters = amplitude_parameters(effect)
@@ -261,7 +262,7 @@ class _SensitivityAnalysis:
     ) -> np.ndarray:
         """Mean log evidence for an active effect without the strongest trial, (C,).
 
-        Its other amplitudes are absent and cost what they could explain of noise.
+        Its other amplitudes are zero but have their Occam factors.
         """
         gains = self._expected_gains(response.unimitated)
         left_one_out = gains.sum(axis=0) - gains.max(axis=0)
@@ -277,8 +278,7 @@ class _SensitivityAnalysis:
     ) -> bool:
         """Return whether another effect explains a response about as well.
 
-        Its amplitudes take the best sizes. Outside a credible set it has no more
-        probability than the set leaves.
+        Its amplitudes are fitted. It is confusable if it would be in the credible set.
         """
         index = response.index_near(tip_shift_m)
         white = response.whitened[index]

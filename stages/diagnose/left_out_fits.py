@@ -1,9 +1,9 @@
-"""Fits to all trials but some, from the fit to all of them.
+"""Fits without some trials, from the fit to all of them.
 
 Without a few trials the optimum hardly moves. So it is found by Gauss-Newton steps
-with the slopes of the fit to all trials [1]_, which cost one simulation of each trial.
-Where these steps do not converge, the hypothesis is refitted. From nine trials on,
-whole trials are left out in eight groups, so that the cost is linear in their number.
+with the slopes of the fit to all trials [1]_; each step simulates each trial once. If
+these steps do not converge, the hypothesis is refitted. Nine or more trials are left
+out in eight groups, so that the cost is linear in their number.
 
 References
 ----------
@@ -27,12 +27,12 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.workers import map_in_workers
 
 MAX_GROUPS = 8  # of trials that are left out together
-MAX_STEPS = 5  # with the same slopes; it mostly takes two
-FLAT_CURVATURE = 1e-9  # added to all: a direction without any stays put
+MAX_STEPS = 5  # with the same slopes; usually two are enough
+FLAT_CURVATURE = 1e-9  # added so that directions without curvature do not move
 
 
 def groups_to_leave_out(trials: int) -> list[list[int]]:
-    """Divide the numbers of trials into groups that are left out in turn."""
+    """Divide the indices of trials into groups that are left out in turn."""
     count = min(trials, MAX_GROUPS)
     return [list(range(first, trials, count)) for first in range(count)]
 
@@ -42,7 +42,7 @@ def exponents_without_groups(
     fit: Fit,
     groups: Sequence[Sequence[int]],
 ) -> list[np.ndarray]:
-    """Fit a hypothesis to all trials but those of each group.
+    """Fit a hypothesis without the trials of each group.
 
     Returns exponents (P,) for each group.
     """
@@ -68,13 +68,13 @@ def exponents_without_groups(
 
 
 class _GaussNewtonSteps:
-    """Gauss-Newton steps of all groups side by side, with the slopes of one fit.
+    """Gauss-Newton steps of all groups in parallel, with the slopes of one fit.
 
     Attributes
     ----------
     chi : numpy.ndarray, shape (G, P)
     has_converged : numpy.ndarray of bool, shape (G,)
-        Where a further step gains less than the solver asks for.
+        Whether a further step gains less than MIN_GAIN.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class _GaussNewtonSteps:
         self.has_converged = np.zeros(len(groups), dtype=bool)
 
     def run(self) -> None:
-        """Move all groups until further steps gain nothing, or lead away."""
+        """Move all groups until they converge or their loss rises."""
         residuals: ByTrial = [
             np.repeat(residual[None], len(self.chi), axis=0)
             for residual in self.fit.residuals
@@ -112,7 +112,7 @@ class _GaussNewtonSteps:
             if number == 0:
                 first_loss = loss
             steps, gains = self._steps(active, gradient)
-            # Steps of groups that diverged or got worse are given up
+            # Groups whose loss rose or diverged stop without convergence
             is_better = loss <= first_loss[active]
             self.has_converged[active] = is_better & (gains < MIN_GAIN)
             goes_on = is_better & ~(gains < MIN_GAIN)

@@ -1,4 +1,4 @@
-"""Trials about a fit, to first order in the fitted parameters."""
+"""Linearisation of trials at a fit."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def difference_exponents(
 
 @dataclass(eq=False)
 class LinearisedFit:
-    """A fit whose parameters follow any further displacement by a Gauss-Newton step.
+    """A fit whose parameters adapt to a further displacement by a Gauss-Newton step.
 
-    The prior holds them where the fit is.
+    Their prior is centred at the fit.
     """
 
     data: TrialData
     parent: Fit
 
     def __post_init__(self) -> None:
-        """Whiten what the fit leaves, and its slopes."""
+        """Whiten the residuals and slopes of the fit."""
         self.data = self.data.for_hypothesis(self.parent.hypothesis)
         grid_points = self.parent.grid_points
         residuals = [residual[None] for residual in self.parent.residuals]
@@ -53,7 +53,7 @@ class LinearisedFit:
         self.covariance = np.linalg.inv(self.information)
 
     def responses(self, hypothesis: Hypothesis, chi: np.ndarray) -> ByTrial:
-        """Simulate how exponents (C, P) change the residuals of each trial, (C, 2 n).
+        """Compute the change of each trial's residuals (C, 2 n) at exponents (C, P).
 
         A candidate that diverges in any trial is DIVERGED_RESIDUAL in all of them.
         """
@@ -67,13 +67,13 @@ class LinearisedFit:
         return responses
 
     def parameter_steps(self, responses: ByTrial) -> tuple[np.ndarray, np.ndarray]:
-        """Compute how the fitted parameters follow responses.
+        """Compute the steps of the fitted parameters that best cancel responses.
 
         Returns
         -------
         steps : numpy.ndarray, shape (C, P)
         remainder : numpy.ndarray, shape (C, N)
-            White responses that the steps leave.
+            White responses after the steps.
         """
         white = self.data.whiten(responses, self.parent.grid_points)
         steps = -(white @ self.white_slopes.T) @ self.covariance
@@ -84,26 +84,26 @@ class LinearisedFit:
         index: int,
         values: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Set one parameter to other values (C,), and let the others follow.
+        """Set one exponent to other values (C,) and adapt the others.
 
         Returns
         -------
         chi : numpy.ndarray, shape (C, P)
         gains : numpy.ndarray, shape (C,)
-            Of the log-likelihood, to first order.
+            Gains in log-likelihood, to first order.
         """
         chi = np.repeat(self.parent.chi[None], len(values), axis=0)
         chi[:, index] = values
         responses = self.responses(self.parent.hypothesis, chi)
         steps, _ = self.parameter_steps(responses)
-        # Conditioned on no step of the parameter that was set
+        # Condition on a zero step of the given exponent
         covariance = self.covariance[index]
         steps = steps - steps[:, [index]] * covariance / covariance[index]
         gains = self.log_likelihood_gains(responses, steps, np.ones(len(chi)))
         return np.clip(chi + steps, 0.0, 1.0), gains
 
     def early_gains(self, responses: ByTrial, end_times: np.ndarray) -> np.ndarray:
-        """Gain of half the sum of squares until a time in each trial [s], (C,).
+        """Reduction of half the sum of squares before a time in each trial [s], (C,).
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class LinearisedFit:
         steps: np.ndarray,
         factors: np.ndarray,
     ) -> np.ndarray:
-        """Gain of the log-likelihood by multiples (C,) of responses and steps, (C,).
+        """Gain in log-likelihood by multiples (C,) of responses and steps, (C,).
 
         It is minus infinity for candidates that diverge.
         """

@@ -32,7 +32,7 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_values
 
-RATED_FRAMES = 20  # of a trial, from which the matching rate is counted
+RATED_FRAMES = 20  # of each trial, for the matching rate
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class TrialPrediction:
     ----------
     hypothesis : Hypothesis
     chi : numpy.ndarray, shape (P,)
-        Exponents, fitted to other trials.
+        Exponents that were fitted to other trials.
     residual : numpy.ndarray, shape (2 n,)
         Predicted minus measured points over sigma.
     log_likelihood : float
-        Of the trial.
+        Log-likelihood of the trial.
     """
 
     hypothesis: Hypothesis
@@ -82,7 +82,7 @@ def predict_left_out_trials(data: TrialData, fit: Fit) -> list[TrialPrediction]:
     predictions: dict[int, TrialPrediction] = {}
     exponents = exponents_without_groups(data, fit, groups)
     for group, chi in zip(groups, exponents, strict=True):
-        # Of a fit to the others, only the exponents are known and needed
+        # Only the exponents of the fit to the others are needed
         predicted = predict_trials(data.subset(group), replace(fit, chi=chi))
         predictions |= zip(group, predicted, strict=True)
     return [predictions[k] for k in range(len(data.trials))]
@@ -141,7 +141,7 @@ def improves_predictions(
 ) -> bool:
     """Return whether the extended model predicts the median trial better.
 
-    Sums over trials would follow one that is predicted badly.
+    A sum over trials would be dominated by a badly predicted one.
     """
     ratios = []
     for less, more in zip(base, extended, strict=True):
@@ -174,7 +174,7 @@ def matching_target(
     observation: Observation,
     matching: Matching,
 ) -> MatchingTarget:
-    """Draw some frames of a trial for the matching rate, from its initial state."""
+    """Rasterise some frames of a trial for the matching rate."""
     (target,) = matching_targets(model, [with_rated_frames(observation)], matching)
     state = trial.initial_state
     thinned = replace(target.trial, initial_state=state, turn=trial.turn)
@@ -190,9 +190,9 @@ def matching_rate(target: MatchingTarget, prediction: TrialPrediction) -> float:
 
 
 def with_rated_frames(observation: Observation) -> Observation:
-    """Keep some RATED_FRAMES frames of an observation.
+    """Keep about RATED_FRAMES frames of an observation.
 
-    They are too far apart to estimate the initial state from.
+    They are too far apart to estimate an initial state.
     """
     points = observation.valid_points
     times = np.unique(points["t"])

@@ -1,4 +1,4 @@
-"""The probability that a cause is present and not a stand-in, from the remaining misfit.
+"""The probability that a cause is not a stand-in, from the remaining misfit.
 
 If misfit remains, something outside the library moves the string. A cause with about
 the same effect may then be accepted as its stand-in. In each trial in which the cause

@@ -42,7 +42,7 @@ CELLS_ALONG_STRING = 4
 
 
 def hypothesis_label(fit: Fit) -> str:
-    """Name the causes of a fit as they stand in tables."""
+    """Make the label of a fit in tables from the names of its causes."""
     return " + ".join(sorted(fit.hypothesis.cause_names))
 
 
@@ -97,7 +97,7 @@ def hypotheses_table(
     judgement: Judgement,
     tolerance_m: float,
 ) -> pd.DataFrame:
-    """Build the table HYPOTHESES: all that were fitted, the most evident first."""
+    """Build the table HYPOTHESES of all fits, the most evident first."""
     data = state.prepared.data
     base = nested[0]
     base_unexplained_m = unexplained_tip_rms(data, base)
@@ -112,7 +112,7 @@ def hypotheses_table(
             label = hypothesis_label(fit)
             probabilities[label] = posterior.probabilities.get(name, 0.0)
     fits += [state.fit, *nested]
-    # Of the fits with the same causes the last, which is the most refined
+    # The last fit with the same causes is the most refined
     by_label = {hypothesis_label(fit): fit for fit in fits}
 
     rows = []
@@ -171,7 +171,7 @@ def _average_in_cells(
     trial: PreparedTrial,
     columns: Mapping[str, np.ndarray],
 ) -> pd.DataFrame:
-    """Average columns (n,) of a trial's points over cells in time and along it."""
+    """Average columns (n,) of a trial's points over cells in time and arc length."""
     table = pd.DataFrame({"t": trial.point_times, "s": trial.s, **columns})
     part = np.ceil(trial.s / trial.s.max() * CELLS_ALONG_STRING)
     part = part.clip(1, CELLS_ALONG_STRING)
@@ -181,7 +181,7 @@ def _average_in_cells(
 
 
 def screening_table(state: SelectionState) -> pd.DataFrame:
-    """Build the table SCREENING: what was proposed in each step."""
+    """Build the table SCREENING: the proposals of each step."""
     rows = []
     for step in state.steps:
         context = hypothesis_label(step.parent)
@@ -219,7 +219,7 @@ def causes_table(
     Parameters
     ----------
     half_width : float
-        Of the intervals, in standard deviations.
+        Half width of the intervals in standard deviations.
     """
     data = state.prepared.data
     rows: list[dict[str, object]] = []
@@ -249,7 +249,7 @@ def causes_table(
 
 
 def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fit:
-    """Find the fit with a named cause: of all causes, or in a look-alike's place."""
+    """Find the fit with a named cause: the final one, or that of a look-alike."""
     if name in state.fit.hypothesis.cause_names:
         return state.fit
     posteriors = judgement.posteriors
@@ -280,7 +280,7 @@ def _parameter_rows(
 
 
 def missing_table(data: TrialData, fit: Fit, criteria: Criteria) -> pd.DataFrame:
-    """Build the table MISSING: displacements beyond the fit, if above the tolerance."""
+    """Build the table MISSING: unexplained displacements, if above the tolerance."""
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return MISSING.empty()
     frames = []

@@ -1,4 +1,4 @@
-"""The verdict: a pure function of a few numbers, and how these are measured."""
+"""The verdict: a pure function of a few numbers, and the computation of these."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from stringcast.stages.inference.laplace import (
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import Effect
 
-RESOLUTION = "resolution"  # the cause that the configured mesh is too coarse
+RESOLUTION = "resolution"  # name of the cause if the configured mesh is too coarse
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Verdict:
     kind : str
         none, effect, ambiguous, partial, unknown or insufficient.
     misfit_probability : float
-        That the model which the verdict leaves is off by more than the tolerance.
+        Probability that the misfit of the resulting model exceeds the tolerance.
     causes : tuple of str
         Named causes, in the order of acceptance, with their look-alikes.
     lookalike_groups : tuple of tuple of str
         Effects that explain the trials about equally well.
     remark : str
-        What else there is to say.
+        A further sentence.
     """
 
     kind: str
@@ -97,9 +97,11 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
 
 
 def require_confirmation(verdict: Verdict, numbers: VerdictNumbers) -> Verdict:
-    """Withdraw causes that no other trial confirms, or that predict none better."""
+    """Withdraw causes that no other trial confirms or that do not improve predictions.
+
+    That the mesh is too coarse needs no confirmation.
+    """
     causes = verdict.causes
-    # A mesh is too coarse whatever other trials say
     names_nothing = verdict.kind in ("none", "insufficient")
     if names_nothing or causes == (RESOLUTION,):
         return verdict
@@ -147,13 +149,13 @@ class Judgement:
     ----------
     verdict : Verdict
     numbers : VerdictNumbers
-        On which it was decided.
+        The numbers that decided it.
     posteriors : tuple of SingleEffectPosterior
-        Of the place of each accepted cause.
+        Posteriors of the place of each accepted cause.
     base_fit : Fit
         The base model's fit to the same data.
     background : sequence of numpy.ndarray
-        What other effects do about the fit, as of `background_effects`.
+        Responses to other effects (`background_responses`).
     interrupted : bool
         Whether the search was ended early.
     """
@@ -181,14 +183,12 @@ def measure_verdict_numbers(
     criteria: Criteria,
     seed: int,
 ) -> VerdictNumbers:
-    """Measure what the verdict depends on, but for trials left out.
-
-    What costs many fits is measured only where the verdict depends on it.
+    """Compute the numbers of the verdict, except those from left-out trials.
 
     Parameters
     ----------
     misfit : float
-        Probability that the model with the causes is off by more than the tolerance.
+        Probability that the misfit of the model with causes exceeds the tolerance.
     """
     state = posteriors.state
     data = state.prepared.data
@@ -228,8 +228,8 @@ def misfit_probability(
     criteria: Criteria,
     seed: int,
 ) -> float:
-    """Estimate the probability that the tip of some trial is off by the tolerance."""
-    # The same draws for every fit: probabilities then differ by the fits alone
+    """Estimate the probability that the misfit of a tip exceeds the tolerance."""
+    # The same draws for all fits, so that probabilities differ only by the fits
     rng = np.random.default_rng([seed, DISCREPANCY_DRAWS])
     largest_m = sample_discrepancy_tip_rms(data, fit, rng).max(axis=0)
     return float(np.mean(largest_m > criteria.tip_tolerance_m))
@@ -238,8 +238,8 @@ def misfit_probability(
 def fit_base_to(state: SelectionState) -> Fit:
     """Fit the base model to the data of a state.
 
-    The fit before the search may be in a poor minimum, whose misfit would count as that
-    of a missing cause. So the parameters found with the causes are a second start.
+    The fit before the search may be in a poor local minimum, and its misfit would be
+    attributed to a missing cause. So the parameters with the causes are a second start.
     """
     hypothesis = state.fit.hypothesis
     if not hypothesis.causes:
@@ -256,7 +256,7 @@ def judge_interrupted_search(
     criteria: Criteria,
     seed: int,
 ) -> Judgement:
-    """Say what an interrupted search had found, without naming a cause."""
+    """Report the causes that an interrupted search had found, without naming them."""
     data = state.prepared.data
     fit = state.fit
     background = background_responses(data, fit, effects)
