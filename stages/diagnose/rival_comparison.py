@@ -19,6 +19,7 @@ from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import (
     MIN_RESOLVED_TRIALS,
     NEGLIGIBLE_LOG_EVIDENCE,
+    UNRESOLVED_FRACTION,
     Criteria,
     has_evidence,
     is_resolved,
@@ -36,7 +37,6 @@ log = logging.getLogger(__name__)
 
 MAX_RIVALS = 3  # compared at first
 CLOSE_PRECISIONS = 5  # possible change of a roughly fitted rival, over its precision
-UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 
 def compare_rivals(

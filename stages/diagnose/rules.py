@@ -46,6 +46,8 @@ depends on two things: whether their effect is the same in all trials (`trials_a
 and whether they leave little where the model holds (`stand_ins`).
 "Misfit remains" (`misfit_remains`) if the unexplained displacement of some trial's tip
 exceeds `tip_tolerance_m` with a probability above one half.
+Only a simulation that resolves two trials, or the only one, agrees with them
+(`agreement_is_resolved`). If it does not, a single trial suggests no cause either.
 """
 
 from __future__ import annotations
@@ -73,6 +75,7 @@ from stringcast.stages.model.effect import Effect, amplitude_parameters
 STRONG_LOG_EVIDENCE = 5.0  # by Jeffreys' scale
 NEGLIGIBLE_LOG_EVIDENCE = 1.0  # "not worth more than a bare mention" on that scale
 MIN_RESOLVED_TRIALS = 2  # one to find a cause and one to confirm it
+UNRESOLVED_FRACTION = 0.1  # of a trial's mean square misfit that may stay unresolved
 
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Metres = Annotated[float, Field(gt=0, lt=0.1)]
@@ -141,6 +144,9 @@ class VerdictNumbers:
         Whether the extended model predicts held-out trials better.
     heldout_explained_fraction : float
         Fraction of the base model's misfit in these trials that it removes.
+    unresolved_m : float
+        Numerical uncertainty at the tip where simulation resolves too few trials [m];
+        0 where it resolves enough.
     """
 
     trials: int
@@ -154,6 +160,7 @@ class VerdictNumbers:
     mesh_too_coarse: bool = False
     heldout_is_closer: bool = True
     heldout_explained_fraction: float = 1.0
+    unresolved_m: float = 0.0
 
 
 def is_resolved(
@@ -312,6 +319,33 @@ def misfit_remains(probability: float) -> bool:
 def can_be_simulated(numbers: VerdictNumbers) -> bool:
     """Whether the simulation of no trial diverges with the fitted parameters."""
     return not numbers.diverged
+
+
+def unresolved_by_simulation(
+    uncertainty_m: np.ndarray, misfit_m: np.ndarray, criteria: Criteria
+) -> float:
+    """Measure how uncertain simulation is if it resolves too few trials [m], else 0.
+
+    A trial is resolved if numerical error is uncertain by no more than the tolerance,
+    or by a small part of the misfit.
+
+    Parameters
+    ----------
+    uncertainty_m, misfit_m : numpy.ndarray, shape (K,)
+        Of the numerical error, and of the base model, at each tip [m].
+    """
+    allowed_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
+    allowed_m = np.maximum(allowed_m, criteria.tip_tolerance_m)
+    is_unresolved = uncertainty_m > allowed_m
+    needed = min(MIN_RESOLVED_TRIALS, len(uncertainty_m))
+    if (~is_unresolved).sum() >= needed:
+        return 0.0
+    return float(uncertainty_m.max())
+
+
+def agreement_is_resolved(numbers: VerdictNumbers) -> bool:
+    """Whether simulation resolves enough trials to say that it agrees with them."""
+    return numbers.unresolved_m == 0
 
 
 def can_be_confirmed(numbers: VerdictNumbers) -> bool:

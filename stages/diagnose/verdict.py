@@ -8,7 +8,7 @@ from itertools import chain
 
 import numpy as np
 
-from stringcast.stages.common import readable_name
+from stringcast.stages.common import MM_PER_M, readable_name
 from stringcast.stages.diagnose.background_effects import background_responses
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
@@ -25,11 +25,13 @@ from stringcast.stages.diagnose.posteriors import (
 from stringcast.stages.diagnose.rules import (
     Criteria,
     VerdictNumbers,
+    agreement_is_resolved,
     can_be_confirmed,
     can_be_simulated,
     explains_enough,
     misfit_remains,
     predicts_better,
+    unresolved_by_simulation,
 )
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -93,6 +95,9 @@ def name_causes(numbers: VerdictNumbers, criteria: Criteria) -> Verdict:
         return Verdict("unknown", numbers.base_misfit_probability, remark=remark)
     if numbers.mesh_too_coarse:
         return Verdict("effect", numbers.base_misfit_probability, (RESOLUTION,))
+    if not agreement_is_resolved(numbers):
+        remark = _uncertain_simulation_remark(numbers)
+        return Verdict("insufficient", numbers.base_misfit_probability, remark=remark)
     return Verdict("none", numbers.base_misfit_probability)
 
 
@@ -129,8 +134,18 @@ def _closest_explanation(numbers: VerdictNumbers) -> str:
 
 def _single_trial_remark(numbers: VerdictNumbers) -> str:
     remark = "No cause is named from a single trial: no other trial can confirm it."
+    if not agreement_is_resolved(numbers):
+        return f"{remark} {_uncertain_simulation_remark(numbers)}"
     likely = _probable_effects(numbers)
     return f"{remark} In this trial it would be {likely}." if likely else remark
+
+
+def _uncertain_simulation_remark(numbers: VerdictNumbers) -> str:
+    uncertain_mm = MM_PER_M * numbers.unresolved_m
+    return (
+        f"Simulation is itself uncertain by up to {uncertain_mm:.1f} mm at the tip: "
+        "gentler motion, or a string with more damping, would show more."
+    )
 
 
 def _probable_effects(numbers: VerdictNumbers) -> str:
@@ -215,7 +230,10 @@ def measure_verdict_numbers(
     explained = mean_explained_fraction(
         base_unexplained_m, unexplained_m, criteria.tip_tolerance_m
     )
-    numbers = replace(numbers, explained_fraction=explained)
+    unresolved_m = unresolved_by_simulation(
+        state.prepared.discretisation_uncertainty_m, base_unexplained_m, criteria
+    )
+    numbers = replace(numbers, explained_fraction=explained, unresolved_m=unresolved_m)
     base_probability = numbers.misfit_probability
     if base_fit is not fit:
         base_probability = misfit_probability(data, base_fit, criteria, seed)

@@ -44,6 +44,26 @@ def test_a_trial_is_resolved_to_the_tolerance_or_as_well_as_the_worst_before():
     assert rules.is_resolved(np.array([8e-3, 9e-3]), poor, CRITERIA, 2, allowed_m)
 
 
+@pytest.mark.parametrize(
+    ("uncertainty_mm", "misfit_mm", "unresolved_mm"),
+    [
+        ((2.0,), (0.0,), 0.0),
+        ((2.1,), (0.0,), 2.1),
+        ((2.1, 2.0), (0.0, 0.0), 2.1),  # two are needed
+        ((9.0, 2.0, 2.0), (0.0, 0.0, 0.0), 0.0),
+        ((9.0,), (28.0,), 9.0),  # a tenth of the mean square is 8.9 mm
+        ((9.0,), (29.0,), 0.0),
+    ],
+)
+def test_simulation_resolves_two_trials_or_the_only_one(
+    uncertainty_mm, misfit_mm, unresolved_mm
+):
+    uncertainty_m = 1e-3 * np.array(uncertainty_mm)
+    misfit_m = 1e-3 * np.array(misfit_mm)
+    found_m = rules.unresolved_by_simulation(uncertainty_m, misfit_m, CRITERIA)
+    assert found_m == pytest.approx(1e-3 * unresolved_mm)
+
+
 def test_evidence_counts_from_its_limit_on():
     parent = fit_of(7.0)
     assert rules.has_evidence(parent, fit_of(7.0 + SLIGHTLY_MORE * LIMIT), CRITERIA)
@@ -210,7 +230,10 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
         presence=0.8,
         credible_set=lambda coverage: ("wind", "", "tilt")[: int(100 * coverage)],
     )
-    prepared = SimpleNamespace(data=SimpleNamespace(trials=[1, 2, 3]))
+    prepared = SimpleNamespace(
+        data=SimpleNamespace(trials=[1, 2, 3]),
+        discretisation_uncertainty_m=np.array([3 * TOLERANCE_M]),
+    )
     posteriors = SimpleNamespace(
         state=SimpleNamespace(prepared=prepared, fit=fit),
         by_cause=(posterior,) if has_cause else (),
@@ -229,6 +252,7 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
         misfit_probability=0.2,
         base_misfit_probability=0.8 if has_cause else 0.2,
         explained_fraction=0.75 if has_cause else 0.0,
+        unresolved_m=3 * TOLERANCE_M,
     )
     posterior.presence = 0.5
     numbers = verdict.measure_verdict_numbers(posteriors, 0.2, base_fit, CRITERIA, 0)

@@ -100,6 +100,18 @@ TABLE = {
     "nothing to explain": (NOTHING, {}, "none", ()),
     "nothing found": (NOTHING, {"base_misfit_probability": 0.6}, "unknown", ()),
     "one trial, nothing": (NOTHING, {"trials": 1}, "none", ()),
+    "simulation is uncertain": (
+        NOTHING,
+        {"unresolved_m": 9e-3},
+        "insufficient",
+        (),
+    ),
+    "simulation is uncertain, and misfit": (
+        NOTHING,
+        {"unresolved_m": 9e-3, "base_misfit_probability": 0.6},
+        "unknown",
+        (),
+    ),
     "a coarse mesh": (NOTHING, {"mesh_too_coarse": True}, "effect", (RESOLUTION,)),
     "a coarse mesh in one trial": (
         NOTHING,
@@ -128,6 +140,16 @@ TABLE = {
 def test_verdict_follows_from_numbers(numbers, changed, kind, causes):
     decided = decide_verdict(replace(numbers, **changed), CRITERIA)
     assert (decided.kind, decided.causes) == (kind, causes)
+
+
+def test_no_cause_is_suspected_where_simulation_is_uncertain():
+    single = replace(FOUND, trials=1)
+    remark = decide_verdict(single, CRITERIA).remark
+    assert "it would be wind (0.97)" in remark
+    uncertain = replace(single, unresolved_m=9.2e-3)
+    remark = decide_verdict(uncertain, CRITERIA).remark
+    assert "wind" not in remark
+    assert "uncertain by up to 9.2 mm" in remark
 
 
 def test_verdict_keeps_the_probability_of_the_model_that_it_leaves():
