@@ -34,24 +34,24 @@ OFFSET = "time_offset.offset"
 STARTS = 6  # of the search for the string's parameters and the offset
 # Effects that are the clock itself
 CLOCK_EFFECTS = ("time_offset", "clock_drift")
-FIXED_WITHIN_S = 1e-4  # of an offset that is given
-# Stiffness up to which strings are sought [N m/(rad kg)], unless more is configured: of
-# a strip that a clamp holds. Within the range of a limp string, a strip is fitted as a
-# rigid pendulum, some 10 ms off.
+FIXED_WITHIN_S = 1e-4  # half range of an offset that is given
+# Least upper limits of the stiffness [N m/(rad kg)]: those of a clamped strip. In the
+# range of limp strings, a strip is fitted as a rigid pendulum, with an offset wrong by
+# some 10 ms.
 CLAMPED_STRIP = {"bending_stiffness": 400.0, "grasp_stiffness": 300.0}
-MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, by a clock that is certain
+MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
 @dataclass(frozen=True)
 class ClockFit:
-    """Trials whose times are about right, and a fit that shifts them.
+    """Trials with about correct times, and a fit of their remaining offset.
 
     Attributes
     ----------
     data : TrialData
     fit : Fit
-        With the offset among its parameters.
+        A fit whose parameters include the offset.
     """
 
     data: TrialData
@@ -69,7 +69,7 @@ class ClockFit:
 
 
 def model_with_offset(model: Model, half_width: float) -> Model:
-    """Return the model with an offset that is sought within a range about zero [s]."""
+    """Return the model with an offset in a range around zero [s]."""
     if TimeOffset not in model.clock_effects:
         model = model.with_effects(TimeOffset)
     ranges = {**model.measured_ranges, OFFSET: (-half_width, half_width)}
@@ -77,7 +77,7 @@ def model_with_offset(model: Model, half_width: float) -> Model:
 
 
 def model_up_to_strips(model: Model) -> Model:
-    """Return the model with ranges of stiffness that hold limp strings and strips."""
+    """Return the model with ranges of stiffness for limp strings and strips."""
     wider = []
     for parameter in model.string.parameters:
         name = parameter.name
@@ -94,10 +94,10 @@ def fit_clock(
     rng: np.random.Generator,
     progress: Progress,
 ) -> ClockFit:
-    """Fit the string's parameters and one offset, within a range about zero.
+    """Fit the string's parameters and one offset, in a range around zero.
 
     Numerical error is not corrected: it moves the tip by a millimetre at most, which
-    the discrepancy holds.
+    the discrepancy includes.
     """
     model = model_with_offset(model_up_to_strips(model), half_width)
     second_order = with_second_order_mesh(model)
@@ -142,11 +142,11 @@ def fit_drift(clock: ClockFit) -> ClockFit:
 
 
 def explains_more(fuller: ClockFit, simpler: ClockFit) -> bool:
-    """Return whether a fit with more freedom of the clocks is to be believed.
+    """Return whether a fit with more clock parameters is accepted.
 
-    It has more evidence, and removes enough of the mean square misfit at the tip: a
-    string that the model does not describe fits a little better with any clock. Both
-    are so without the trial that it helps most, if there are others.
+    It must have more evidence and remove enough of the mean square misfit at the tip:
+    if the string model is wrong, any clock parameter improves the fit a little. Both
+    must hold without the trial that gains most, if there are others.
     """
     gain = fuller.fit.log_evidence - simpler.fit.log_evidence
     gains = fuller.fit.log_likelihood_by_trial - simpler.fit.log_likelihood_by_trial
@@ -164,7 +164,7 @@ def explained_fraction(
 ) -> float:
     """Compute the share of the mean square misfit at the tip that a fit removes.
 
-    trials: numbers of the trials that count.
+    trials: indices of the trials that are used.
     """
     before = unexplained_tip_rms(simpler.data, simpler.fit)[trials]
     after = unexplained_tip_rms(fuller.data, fuller.fit)[trials]
@@ -174,7 +174,7 @@ def explained_fraction(
 def explained_by_offset(clock: ClockFit, other: float) -> float:
     """Compute the share of the misfit at the tip that the fit's offset removes.
 
-    other: offset with which it is compared [s], with the string fitted to it.
+    other: offset for comparison [s]; the string is refitted with it.
     """
     fit = clock.fit
     model = fit.hypothesis.model
@@ -188,7 +188,7 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
 
 
 def effect_responses(clock: ClockFit) -> ByTrial:
-    """Return what each effect of the library does about a fit, (E, 2 n) by trial."""
+    """Return the response of each trial to each effect of the library, (E, 2 n)."""
     model = clock.fit.hypothesis.model
     effects = candidate_effects(
         model, effects_by_name(), clock.data.trials, CLOCK_EFFECTS
@@ -203,9 +203,9 @@ class OffsetProfile:
     Attributes
     ----------
     offsets : numpy.ndarray, shape (U,)
-        About the times of the trials [s].
+        Offsets relative to the times of the trials [s].
     log_likelihood : numpy.ndarray, shape (U,)
-        To first order about the fit's other parameters.
+        Log-likelihood, linearised in the fit's other parameters.
     chi : numpy.ndarray, shape (U, P)
         Exponents adapted to each offset.
     """
@@ -216,10 +216,10 @@ class OffsetProfile:
 
 
 def profile_offset(clock: ClockFit, half_width: float) -> OffsetProfile:
-    """Profile the likelihood over all offsets within a range about zero [s].
+    """Profile the likelihood over offsets in a range around zero [s].
 
-    One batch simulates all offsets with all differences of parameters, and a
-    Gauss-Newton step adapts the parameters to each offset.
+    One batch simulates all offsets with the finite differences of all parameters. A
+    Gauss-Newton step then adapts the parameters to each offset.
     """
     fit = clock.fit
     index = clock.index
@@ -260,7 +260,7 @@ def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
 def refit_from_string(clock: ClockFit, other: ClockFit, offset: float) -> ClockFit:
     """Refit from another fit's string and an offset [s]; return the better fit.
 
-    How errors grow within trials is measured again, as it depends on the string.
+    The growth of errors within trials is computed again, as it depends on the string.
     """
     hypothesis = clock.fit.hypothesis
     parameter = hypothesis.model.parameters[clock.index]

@@ -1,7 +1,7 @@
 """The offset between the clocks of arm and camera, with a 95 % interval.
 
-Geometry leaves a window (`windows`), and the string model is fitted within it (`fit`).
-The interval holds for strings with any effect of the library (`posterior`).
+Geometry limits it to a window (`windows`), and the string model is fitted within it
+(`fit`). The interval accounts for unknown effects of the library (`posterior`).
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ from stringcast.stages.model.model import Model
 
 # Half widths of intervals in standard deviations, widened as in a diagnosis
 HALF_WIDTH = 1.4 * NORMAL_95
-# No camera stamps its frames better than this share of the time between them.
+# Least uncertainty of a camera's time stamps, as a share of the time between frames
 STAMP_UNCERTAINTY_FRAMES = 0.1
-EDGE_S = 0.02  # sought so far beyond the window that geometry leaves
-RIVAL_LOG_LIKELIHOOD = 30.0  # a profile's other peak is refitted if it is so near
+EDGE_S = 0.02  # margin of the search around the window
+RIVAL_LOG_LIKELIHOOD = 30.0  # another peak of the profile is refitted if this near
 RIVAL_DISTANCE = 4  # steps of the profile between two peaks
-SIGNIFICANCE = 1e-3  # below, trials do not have the same offset
-MIN_DRIFT = 0.005  # beyond which the whole interval of a drift lies that is named
-NO_PRIOR = 1e-6  # precision that is as good as none [1/s2]
+SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
+MIN_DRIFT = 0.005  # a drift is named if its whole interval exceeds this
+NO_PRIOR = 1e-6  # negligible precision [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
 CLOCK_REMEDY = (
     "Add that to t of points, or import with --clock fit; if it is the arm that lags, "
@@ -87,15 +87,15 @@ class ClockOffset:
     Attributes
     ----------
     by_trial : dict
-        What is added to the camera's times of each trial [s].
+        Offset to add to the camera's times of each trial [s].
     is_common : bool
         Whether all trials have the same offset.
     drift : Interval or None
-        What the arm's clock gains on the camera's within trials, as a share of time;
-        None if nothing is seen.
+        Gain of the arm's clock on the camera's within trials, as a share of time; None
+        if none is detected.
     profile : pandas.DataFrame
-        By offset [s], in the first trial: `stretch` by which points seem to be beyond
-        their string [m], and `log_likelihood` of the string model, to first order.
+        By offset [s], in the first trial: `stretch`, the distance of points beyond
+        their arc length [m], and `log_likelihood` of the string model, to first order.
     """
 
     by_trial: Mapping[str, Interval]
@@ -106,7 +106,7 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class FittedOffset:
-    """An offset, with the fits that it comes from.
+    """An offset and the fits from which it was estimated.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class FittedOffset:
     fits : sequence of ClockFit
         One for all trials, or one for each.
     windows : sequence of Window
-        What geometry leaves in each fit.
+        The window of each fit.
     """
 
     clock: ClockOffset
@@ -123,10 +123,10 @@ class FittedOffset:
     windows: Sequence[Window]
 
     def is_certainly_wrong(self) -> bool:
-        """Return whether an offset beyond those of a diagnosis explains the motion.
+        """Return whether an offset beyond the range of a diagnosis explains the motion.
 
-        It does where geometry leaves no other, or if it removes enough of the mean
-        square misfit at the tip. The fit that compares them takes seconds.
+        It does if geometry excludes zero, or if it removes enough of the mean square
+        misfit at the tip. The fit for this comparison takes seconds.
         """
         # all trials have the interval of the first if one fit is for all
         intervals = self.clock.by_trial.values()
@@ -148,7 +148,7 @@ def estimate_clock_offset(
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> ClockOffset:
-    """Estimate what is to be added to the camera's times, with its uncertainty.
+    """Estimate the offset to add to the camera's times, with its uncertainty.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def fit_clock_offset(
 
     Parameters are those of `estimate_clock_offset`.
     """
-    # Spikes seem to be beyond the string at the true offset, and lead the fit astray
+    # Spikes seem to be beyond the string at the true offset, and bias the fit
     trials = []
     for observation in observations:
         trial = CheckedTrial(observation, model.arm, model.string.length)
@@ -200,7 +200,7 @@ def fit_clock_offset(
         progress(1.0)
         return together
     apart, joint_fit = _estimate_apart(model, used, rng, progress)
-    # The string of own clocks may be one that the search for one clock missed
+    # The search with one offset may have missed the string found with several
     offsets = [interval.value for interval in apart.clock.by_trial.values()]
     middle = float(np.median(offsets)) - window.middle
     common_fit = refit_from_string(common_fit, joint_fit, middle)
@@ -217,10 +217,10 @@ def _estimate_apart(
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[FittedOffset, ClockFit]:
-    """Estimate an offset for each trial, of one string.
+    """Estimate an offset for each trial, with one string for all.
 
-    Each trial is fitted alone, as offsets may be far apart. Then all are fitted
-    together about these offsets. Returns the fit together as well.
+    Each trial is fitted alone, because offsets may differ much. Then all are fitted
+    together, shifted by these offsets. Also returns the joint fit.
     """
     alone = {}
     fits = []
@@ -260,8 +260,7 @@ def _describe_common(
     trials: Sequence[CheckedTrial],
     window: Window,
 ) -> FittedOffset:
-    """Describe the offset of a fit that has one for all trials, within a window."""
-    # The offset with every effect of the library
+    """Describe the common offset of a fit to all trials within a window."""
     background = effect_responses(clock)
     frame_s = _longest_frame_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
@@ -284,7 +283,7 @@ def _fit_within(
     rng: np.random.Generator,
     progress: Progress,
 ) -> tuple[ClockFit, OffsetProfile]:
-    """Fit the string with one offset of trials within a window, and profile it."""
+    """Fit the string and one offset within a window, and profile the offset."""
     half_width = window.half_width + EDGE_S
     middle = {trial.name: window.middle for trial in trials}
     shifted = shift_observations([trial.observation for trial in trials], middle)
@@ -299,7 +298,7 @@ def _fit_within(
 def _profile_table(
     trial: CheckedTrial, window: Window, profile: OffsetProfile
 ) -> pd.DataFrame:
-    """Build the table of a profile, with the stretch that geometry sees in a trial."""
+    """Build the table of a profile, with the stretch of points in a trial."""
     offsets = window.middle + profile.offsets
     columns = {
         "offset": offsets,
@@ -312,10 +311,10 @@ def _profile_table(
 def _common_offset(
     clock: ClockFit, background: ByTrial, added: float, floor: float, scatter_s: float
 ) -> tuple[Interval, Interval | None]:
-    """Return the offset that all trials share, and their drift if one is seen.
+    """Return the offset that all trials share, and their drift if one is detected.
 
-    added: what was added to the camera's times before the fit [s]. floor: what no
-    camera stamps better [s], added to half of the offset's interval. scatter_s: of the
+    added: offset added to the camera's times before the fit [s]. floor: uncertainty of
+    time stamps, added to the half width of the interval [s]. scatter_s: scatter of the
     trials' own offsets.
     """
     drift, posterior = _estimate_drift(clock, background)
@@ -334,12 +333,12 @@ def find_wrong_clock(
     rng: np.random.Generator,
     progress: Progress = lambda share: None,
 ) -> ClockOffset | None:
-    """Return the offset of clocks that are certainly not together, or None.
+    """Return the offset of clocks that certainly differ, or None.
 
-    The string model is fitted only if geometry leaves larger offsets than a diagnosis
-    searches. Its offset is certain only if it explains the motion: a model that lacks
-    something else may fit a little better at any offset. Trials that cannot be used, or
-    do not begin at rest, are left out. Parameters are those of `estimate_clock_offset`.
+    The string model is fitted only if geometry allows larger offsets than a diagnosis
+    searches. The offset is certain only if it explains the motion: an incomplete model
+    may fit a little better at any offset. Trials that cannot be used, or that do not
+    begin at rest, are left out. Parameters are those of `estimate_clock_offset`.
     """
     usable, _ = usable_trials(model, observations)
     resting = []
@@ -355,7 +354,7 @@ def find_wrong_clock(
 
 
 def _is_harmful(interval: Interval) -> bool:
-    """Return whether all of an interval lies beyond what a diagnosis searches."""
+    """Return whether an interval lies beyond the range that a diagnosis searches."""
     return max(interval.low, -interval.high) > HARMLESS_OFFSET_S
 
 
@@ -364,17 +363,14 @@ def refuse_wrong_clock(
     observations: Sequence[Observation],
     rng: np.random.Generator,
 ) -> None:
-    """Raise DataError for trials whose clocks are certainly not together.
-
-    The message states the offset that the motion shows.
-    """
+    """Raise DataError with the offset for trials whose clocks certainly differ."""
     clock = find_wrong_clock(model, observations, rng)
     if clock is not None:
         raise DataError(f"points t: {describe_wrong_clock(clock)}. {CLOCK_REMEDY}")
 
 
 def describe_wrong_clock(clock: ClockOffset) -> str:
-    """Say by how much clocks differ, in the trial in which they differ most."""
+    """State the offset of clocks, in the trial in which it is largest."""
     name, worst = max(clock.by_trial.items(), key=lambda item: abs(item[1].value))
     value, low, high = (1e3 * number for number in worst)
     where = "" if clock.is_common else f" in trial {name}"
@@ -402,13 +398,13 @@ def _rival_peak(
 def _posterior(
     clock: ClockFit, background: ByTrial, columns: ByTrial
 ) -> BackgroundPosterior:
-    """Compute the posterior of offsets that may be anything."""
+    """Compute the posterior of offsets without a prior."""
     precision = np.full(len(columns[0]), NO_PRIOR)
     return clock_posterior(clock, background, columns, precision)
 
 
 def _own_columns(clock: ClockFit) -> ByTrial:
-    """Return slopes with the offset of each trial, (K, 2 n)."""
+    """Return derivatives by the offset of each trial, (K, 2 n)."""
     slopes = time_slopes(clock)
     columns = []
     for number, slope in enumerate(slopes):
@@ -421,9 +417,10 @@ def _own_columns(clock: ClockFit) -> ByTrial:
 def _estimate_drift(
     clock: ClockFit, background: ByTrial
 ) -> tuple[Interval | None, BackgroundPosterior]:
-    """Return the drift within trials, if it is seen, and the posterior with it.
+    """Return the drift within trials, if it is detected, and the posterior with it.
 
-    That is of the offset in the middle of each trial, about the fit's, and the drift.
+    The posterior has the offset in the middle of each trial, relative to the fit, and
+    the drift.
     """
     columns = []
     slopes = time_slopes(clock)
@@ -441,10 +438,10 @@ def _estimate_drift(
 
 
 def _scatter_of_trials(own: BackgroundPosterior) -> float:
-    """Estimate how far own offsets of the trials scatter beyond their posterior [s].
+    """Estimate the scatter of the trials' own offsets beyond their posterior [s].
 
-    What the model misses moves the offset of each trial. The scatter is what makes the
-    differences as large as they are (Paule and Mandel 1982, J. Res. NBS 87, 377).
+    Misfit of the model shifts the offset of each trial. The scatter is chosen to
+    explain the differences (Paule and Mandel 1982, J. Res. NBS 87, 377).
     """
     freedom = len(own.mean) - 1
     excess = partial(_differences_of_trials, own)
@@ -455,9 +452,9 @@ def _scatter_of_trials(own: BackgroundPosterior) -> float:
 
 
 def _differences_of_trials(own: BackgroundPosterior, scatter_s: float) -> float:
-    """Compute the square of how much own offsets of the trials differ.
+    """Compute chi squared of the differences between the trials' own offsets.
 
-    It is of the differences' standard deviations, with a scatter of the offsets.
+    scatter_s: added to their posterior.
     """
     count = len(own.mean)
     contrast = np.diff(np.eye(count), axis=0)
@@ -468,7 +465,7 @@ def _differences_of_trials(own: BackgroundPosterior, scatter_s: float) -> float:
 
 
 def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
-    """Return whether the likelihood says that trials have offsets of their own."""
+    """Return whether trials have significantly different offsets."""
     freedom = len(own.mean) - 1
     if freedom < 1 or np.ptp(own.mean) < frame_s:
         return False
@@ -478,5 +475,5 @@ def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
 
 
 def _longest_frame_s(trials: Sequence[CheckedTrial]) -> float:
-    """Find the longest usual time between two frames of a trial [s]."""
+    """Find the longest median time between two frames of a trial [s]."""
     return max(float(np.median(np.diff(trial.frame_t))) for trial in trials)

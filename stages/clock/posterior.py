@@ -1,9 +1,9 @@
-"""The offset given a fit, with every effect of the library possibly active.
+"""The posterior of the offset, with a small amount of every effect of the library.
 
-Wind, a set or a lag that the model lacks would shift the offset. So each effect may
-move the tip by a normal deviate, of one scale that all share and the data determine:
-as in `background_effects` of a diagnosis, but up to the size of what a fit leaves
-unexplained. This is linear about the fit.
+Missing effects such as wind, a set or a lag would shift the offset. So each effect may
+move the tip by a normal deviate. Its scale is common to all effects and estimated from
+the data, as in `background_effects` of a diagnosis, but with larger scales, up to the
+size of unexplained misfit. This is linearised at the fit.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.trial_data import ByTrial
 
-MAX_SCALE_M = 0.1  # of the effects' displacement of the tip
+MAX_SCALE_M = 0.1  # of the tip displacement by effects
 SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
 
 
 def time_slopes(clock: ClockFit) -> ByTrial:
-    """Return how residuals over sigma change with the offset, (2 n,) [1/s] by trial."""
+    """Return derivatives of each trial's residuals by the offset, (2 n,) [1/s]."""
     fit, index = clock.fit, clock.index
     parameter = fit.hypothesis.parameters[index]
     seconds_per_exponent = float(parameter.slope(np.asarray(fit.chi[index])))
@@ -34,7 +34,7 @@ def time_slopes(clock: ClockFit) -> ByTrial:
 def clock_posterior(
     clock: ClockFit, background: ByTrial, clock_columns: ByTrial, precision: np.ndarray
 ) -> BackgroundPosterior:
-    """Compute the posterior of clock parameters, less those of the fit.
+    """Compute the posterior of clock parameters relative to the fit.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ def clock_posterior(
     background : sequence of numpy.ndarray, shape (E, 2 n)
         Displacements of each trial over sigma by effects, per metre at the tip.
     clock_columns : sequence of numpy.ndarray, shape (Q, 2 n)
-        Slopes of residuals with the clock parameters.
+        Derivatives of residuals by the clock parameters.
     precision : numpy.ndarray, shape (Q,)
-        Of the clock parameters' normal priors about the fit.
+        Precision of the clock parameters' normal priors, centred at the fit.
     """
     fit = clock.fit
     slopes = []

@@ -1,4 +1,4 @@
-"""Offsets of two clocks that a recording allows, whatever its string is.
+"""Offsets of two clocks that are possible for any string.
 
 Hand and string begin to move at about the same time, and a string never gets longer.
 """
@@ -13,16 +13,17 @@ import numpy as np
 from stringcast.data.schema import DataError
 from stringcast.stages.check.measured import CheckedTrial
 
-# The string may seem to begin so long before the hand: 3 % of its length is needed to
-# notice either. A slack one, or a slow hand, lets it begin late.
+# Largest apparent lead and lag of the string's onset relative to the hand's. Onsets are
+# detected after motion by 3 % of the string's length. A slack string lags, and so does
+# one that a slow hand moves.
 MAX_LEAD_S, MAX_LAG_S = 0.15, 0.5
-MAX_SPREAD_S = 0.2  # of onsets, from trial to trial, about their median
+MAX_SPREAD_S = 0.2  # median deviation of onsets between trials
 STEP_S = 2e-3
-# Rms excess of distances from the hand over arc lengths that is not refused, beyond
-# that of the best offset: in noise sigmas, and relative to the string's length
+# Tolerance of the stretch above that at the best offset: in noise sigmas, and relative
+# to the string's length
 STRETCH_SIGMAS, STRETCH_TOLERANCE = 3.0, 0.02
 TRIMMED_SHARE = 0.03  # of the points: the farthest may be outliers
-MAX_POINTS = 400  # of a trial that are looked at
+MAX_POINTS = 400  # per trial
 HARMLESS_OFFSET_S = 0.03  # a diagnosis finds a smaller offset as `time_offset`
 
 
@@ -46,7 +47,7 @@ class Window(NamedTuple):
 def onset_window(trial: CheckedTrial) -> Window | None:
     """Return the offsets at which hand and string begin to move together.
 
-    None for a trial that does not begin at rest, or in which nothing moves.
+    Returns None for a trial that does not begin at rest, or in which nothing moves.
     """
     hand, string = trial.hand_onset, trial.string_onset
     if hand is None or string is None or trial.starts_moving:
@@ -63,10 +64,10 @@ def overlap_window(trial: CheckedTrial) -> Window:
 
 
 def stretch_by_offset(trial: CheckedTrial, offsets: np.ndarray) -> np.ndarray:
-    """Return how far points seem to be beyond their string at offsets (U,) [m].
+    """Return the stretch of the string at offsets (U,) [m].
 
-    It is the rms excess of distances from the hand over arc lengths, (U,), without the
-    farthest points.
+    It is the rms excess of the points' distances from the hand over their arc lengths,
+    (U,), without the farthest points.
     """
     every = max(len(trial.points) // MAX_POINTS, 1)
     points = trial.points.iloc[::every]
@@ -81,9 +82,9 @@ def stretch_by_offset(trial: CheckedTrial, offsets: np.ndarray) -> np.ndarray:
 
 
 def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:
-    """Return the offsets that each trial allows.
+    """Return the possible offsets of each trial.
 
-    They are the same for all trials if one window allows all.
+    They are the same for all trials if one window suits all.
 
     Raises DataError if nothing moves.
     """
@@ -108,7 +109,7 @@ def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:
 
 
 def largest_possible_offset(trials: Sequence[CheckedTrial]) -> float:
-    """Return the largest offset in either direction that trials at rest allow [s].
+    """Return the largest possible offset of trials at rest, in either direction [s].
 
     It is 0 if none begins at rest.
     """
@@ -120,9 +121,9 @@ def largest_possible_offset(trials: Sequence[CheckedTrial]) -> float:
 
 
 def common_window(windows: Sequence[Window]) -> Window | None:
-    """Return a window that suits most trials; None if they do not agree.
+    """Return the median window of trials; None if they do not agree.
 
-    It is the median, because a string that something else moved begins early.
+    The median is robust against strings that something else moved early.
     """
     low, high = np.median(windows, axis=0)
     middles = np.array([window.middle for window in windows])

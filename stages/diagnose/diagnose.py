@@ -79,9 +79,9 @@ from stringcast.stages.spec import StageCall, declare_string_counts
 
 log = logging.getLogger(__name__)
 
-# keeps the random motions apart from the random starts of fits
+# random stream of the motions, separate from that of the starts of fits
 DESIGN_RANDOM_STREAM = 1
-STRINGS_PER_START = 250  # simulated strings, counted in default runs
+STRINGS_PER_START = 250  # simulated strings per start in default runs
 BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
@@ -139,17 +139,17 @@ def diagnose(
         Names of trials in which the gain is measured. Without any, each trial is left
         out in turn.
     obstacles : sequence of Box
-        That the proposed motion avoids.
+        Obstacles for the proposed motion.
     seed : int
     starts : int
         Number of starts of the base model's search.
     criteria : Criteria
     matching : Matching
-        How the matching rate is counted.
+        Settings of the matching rate.
     design : DesignSettings
-        Of the motion that would decide between look-alikes.
+        Settings of the motion that would distinguish look-alikes.
     excluded_effects : sequence of str
-        Names of effects that are no candidates.
+        Names of effects that are not candidates.
     progress : callable
 
     Returns
@@ -161,8 +161,8 @@ def diagnose(
     DataError
         If no trial can be used.
     InterruptRequest
-        If interrupted before there is a base model. An interruption after that ends
-        the search with what is known.
+        If interrupted before there is a base model. A later interruption ends the
+        search with the causes found so far.
     """
     usable, faults = usable_trials(model, observations)
     rejected = {**rejected, **faults}
@@ -188,13 +188,13 @@ def diagnose(
 
 
 def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagnosis:
-    """Diagnose trials, and again all of them if held-out ones show something else."""
+    """Diagnose trials; repeat with all of them if held-out ones misfit otherwise."""
     criteria = settings.criteria
     seed = settings.seed
     reached = None
     try:
         # Base model, corrected data, and causes by forward selection. The search is a
-        # generator, so that an interruption leaves what it has reached.
+        # generator, so that its progress is kept at an interruption.
         for reached in search_until_trials_settle(trials, settings):  # noqa: B007
             pass
         assert reached is not None
@@ -210,7 +210,7 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
         )
         base_fit = fit_base_to(state)
 
-        # The numbers that decide, and whether held-out trials show something else
+        # The numbers of the verdict, and whether held-out trials misfit otherwise
         numbers = measure_verdict_numbers(posteriors, misfit, base_fit, criteria, seed)
         numbers = replace(
             numbers, mesh_too_coarse=_mesh_is_too_coarse(prepared, criteria)
@@ -278,16 +278,16 @@ def build_diagnosis(
     gain: HeldOutGain,
     experiment: ProposedExperiment,
 ) -> Diagnosis:
-    """Assemble the artifact; it shows the base model where no found cause is named."""
+    """Assemble the artifact; it shows the base model if no cause is named."""
     data = state.prepared.data
     base_fit = judgement.base_fit
     found = set(state.fit.hypothesis.cause_names)
     is_named = not found.isdisjoint(judgement.verdict.causes)
     shown = state if is_named else replace(state, fit=base_fit)
-    # A random stream apart from those of the fits
+    # A random stream separate from those of the fits
     rng = np.random.default_rng([settings.seed, len(data.trials)])
     budget = error_budget(shown, base_fit, rng)
-    # Causes that were found and not named have entries as well
+    # Causes that were found but not named have entries, too
     entered_fits = budget.nested_fits if is_named else nested_fits(state, base_fit)
     causes = tables.causes_table(shown, judgement, settings.interval_half_width)
     finding = _finding_table(

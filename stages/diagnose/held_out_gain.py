@@ -49,7 +49,7 @@ def held_out_trials_misfit(
         if name in further.random_effects:
             random_effects[name] = shapes + further.random_effects[name]
     together = TrialData(searched.trials + further.trials, random_effects)
-    no_discrepancy = np.zeros(len(further.trials), dtype=int)  # to start with
+    no_discrepancy = np.zeros(len(further.trials), dtype=int)  # initially
     grid_points = np.concatenate([fit.grid_points, no_discrepancy])
     refit = fit_hypothesis(together, fit.hypothesis, fit.chi[None], grid_points)
     misfit_m = unexplained_tip_rms(together, refit)[len(searched.trials) :]
@@ -63,7 +63,7 @@ class HeldOutGain:
     Attributes
     ----------
     table : pandas.DataFrame
-        HELD_OUT, empty where nothing could be left out.
+        HELD_OUT, empty if nothing could be left out.
     is_closer : bool
         Whether the extended model predicts these trials better than the base model.
     """
@@ -93,7 +93,7 @@ def measure_gain(
     state: SelectionState,
     base_fit: Fit,
 ) -> HeldOutGain:
-    """Predict held-out trials, or else each trial by the fit to the others."""
+    """Predict held-out trials, or without any, each trial by the fit to the others."""
     if len(trials.observations) == 1:
         return HeldOutGain(HELD_OUT.empty(), False)
     observations = trials.held_out or trials.searched_trials

@@ -1,4 +1,4 @@
-"""Which trials are searched, which only measure the gain, and which are left out."""
+"""The trials by their use: searched, held out for the gain, or left out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TrialsByUse:
     outlying : dict
         Names of trials that the others do not predict, with the reason.
     predicted : sequence of str
-        Names of trials that were outlying before the causes that predict them.
+        Names of trials that were outlying until causes predicted them.
     """
 
     observations: Sequence[Observation]
@@ -39,7 +39,7 @@ class TrialsByUse:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """The trials that are not used, by name with the reason."""
+        """The reasons of trials that are not used, by name."""
         chaotic = dict.fromkeys(self.chaotic, CHAOTIC_REASON)
         return {**self.rejected, **chaotic, **self.outlying}
 
@@ -59,6 +59,6 @@ class TrialsByUse:
         return replace(self, chaotic=(*self.chaotic, *names))
 
     def including_predicted(self, names: Sequence[str]) -> TrialsByUse:
-        """Include outlying trials in the search, because they are predicted."""
+        """Include outlying trials in the search, since they are predicted."""
         outlying = {n: r for n, r in self.outlying.items() if n not in names}
         return replace(self, outlying=outlying, predicted=(*self.predicted, *names))
