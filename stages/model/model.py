@@ -223,8 +223,8 @@ class Model(Parametrised):
             Reported positions.
         """
         initial = self.initial_state_on_arm_clock(initial, values)
-        moments = self.required_times(values, times)
-        actual = self.simulate_string(motion, values, moments, initial, turn)
+        arm_times = self.required_times(values, times)
+        actual = self.simulate_string(motion, values, arm_times, initial, turn)
         points = self.observed_points(actual.points, values, times)
         return StringMotion(points, actual.finite)
 
@@ -286,8 +286,8 @@ class Model(Parametrised):
         velocity = np.zeros((1, 1, 1, 2))
         if self.camera_uses_velocity:
             before, now, after = np.split(points, 3, axis=1)
-            moments = np.atleast_2d(self.required_times(values, times))
-            first, _, last = np.split(moments, 3, axis=1)
+            arm_times = np.atleast_2d(self.required_times(values, times))
+            first, _, last = np.split(arm_times, 3, axis=1)
             velocity = (after - before) / (last - first)[..., None, None]
         for effect in self.camera_effects:
             parameters = self._effect_values(effect, values, 4)
@@ -302,10 +302,10 @@ class Model(Parametrised):
         They are (1 or C, F, J + 1, 2) [m]. The arm rests before and after its motion.
         No string is simulated. times: (F,) on the camera's clock [s].
         """
-        moments = np.atleast_2d(self.required_times(values, times))
+        arm_times = np.atleast_2d(self.required_times(values, times))
         actual = self.joint_motion(motion, values)
         ticks = actual.times
-        inside = np.clip(moments, ticks[0], ticks[-1])
+        inside = np.clip(arm_times, ticks[0], ticks[-1])
         motions = len(actual.angles)
         if motions > 1:
             inside = np.broadcast_to(inside, (motions, inside.shape[1]))

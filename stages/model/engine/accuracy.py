@@ -1,9 +1,9 @@
-"""Number of points and step for a wanted accuracy of the tip, measured by refinement.
+"""Find number of points and step for a tolerance of the tip, by refinement.
 
-Richardson: when a refinement by two moves the tip by d, after the one before had moved
-it c times as far, the error that is left before it is d c / (c - 1), for errors that
-shrink like a power. c is measured, and not believed beyond the method's order; where
-the moves do not shrink there is no estimate, and refinement goes on.
+The error follows from Richardson extrapolation. If one refinement by two moves the tip
+by c d, and the next by d, the error between them is d c / (c - 1), for errors that
+shrink like a power. c is measured and limited by the method's order. If the moves do
+not shrink, there is no estimate, and the refinement continues.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from stringcast.stages.model.engine.stability import (
 from stringcast.stages.model.hand import HandMotion
 from stringcast.stages.model.string import String
 
-# Each is twice the one before the last.
+# Each count is twice the one before the last.
 SEGMENT_COUNTS = (5, 7, 10, 14, 20, 28, 40, 56, 80, 112)
-LEVELS_TO_HALVE_STEP = 4  # levels of steps that halve it, nearly: 1.2^4 = 2.07
+LEVELS_TO_HALVE_STEP = 4  # 1.2^4 = 2.07
 COARSEST_STEP_LEVEL = 5  # level of the largest step tried: 3 steps in a tick
 ORDER_IN_POINTS = 2  # of the error in the length of a segment
 POINT_ERROR_SHARE = 0.75  # of the tolerance
 
-# A string, and how far its last and its next refinement move the tip, (C,) [m].
+# A string, and the moves of the tip by its last and next refinement, (C,) [m].
 Refinement = tuple[String, np.ndarray, np.ndarray]
 
 
 class ToleranceError(ValueError):
-    """The tolerance cannot be kept; the message says what was measured and may help."""
+    """The tolerance cannot be kept; the message has measured errors and remedies."""
 
 
 @dataclass(frozen=True)
 class ConvergedString:
-    """A string that keeps a tolerance.
+    """A string with an error of the tip within a tolerance.
 
     Parameters
     ----------
     string : String
         The string.
     point_error_m, step_error_m : float
-        Its errors of the tip, as measured, by number of points and step [m].
+        Measured errors of the tip by the number of points and by the step [m].
     """
 
     string: String
@@ -60,7 +60,7 @@ def find_converged_string(
 ) -> ConvergedString:
     """Find the fewest points and then the largest step that keep a tolerance.
 
-    Most of the tolerance goes to the number of points, the dearer of the two.
+    Most of the tolerance goes to the number of points, which costs more time.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def find_converged_string(
     Raises
     ------
     ToleranceError
-        If no size keeps it.
+        If no mesh or no step keeps it.
     """
     meshes = _refine_points(string, hand, values)
     mesh, point_error = _first_within_tolerance(
@@ -94,7 +94,7 @@ def find_converged_string(
 def _first_within_tolerance(
     refinements: Iterator[Refinement], tolerance: float, order: int, refined_part: str
 ) -> tuple[String, float]:
-    """Return the first string whose error keeps the tolerance, and that error."""
+    """Return the first string with an error within the tolerance, and the error."""
     smallest = np.inf
     for string, before, after in refinements:
         error = float(remaining_error(before, after, order).max())
@@ -111,9 +111,9 @@ def _first_within_tolerance(
 
 
 def remaining_error(before: np.ndarray, after: np.ndarray, order: int) -> np.ndarray:
-    """Estimate the error [m] of a result from its refinements. Any shape.
+    """Estimate the error [m] of a result from its refinements, in any shape.
 
-    It moved by `before` when refined last and will move by `after` next.
+    The last refinement moved the result by `before`, and the next moves it by `after`.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         shrink = np.minimum(before / after, 2.0**order)
@@ -124,9 +124,9 @@ def remaining_error(before: np.ndarray, after: np.ndarray, order: int) -> np.nda
 def richardson_limit(
     coarse: np.ndarray, fine: np.ndarray, order: int = ORDER_IN_POINTS
 ) -> np.ndarray:
-    """Extrapolate two results to their limit. Any shape.
+    """Extrapolate two results to their limit, in any shape.
 
-    The second has twice as many parts and half the step.
+    The fine result has twice the number of parts or half the step.
     """
     limit: np.ndarray = fine + (fine - coarse) / (2**order - 1)
     return limit
@@ -135,7 +135,7 @@ def richardson_limit(
 def _refine_points(
     string: String, hand: HandMotion, values: np.ndarray
 ) -> Iterator[Refinement]:
-    """Yield strings of more and more segments."""
+    """Yield strings with an increasing number of segments."""
     strings = [replace(string, points=count + 1) for count in SEGMENT_COUNTS]
 
     @cache
@@ -150,7 +150,7 @@ def _refine_points(
 def _refine_steps(
     string: String, hand: HandMotion, values: np.ndarray
 ) -> Iterator[Refinement]:
-    """Yield strings of smaller and smaller steps, from the largest that all allow."""
+    """Yield strings with decreasing steps, from the largest stable for all."""
     unlimited = replace(string, largest_step=hand.tick)
     material = string.material(np.atleast_2d(values))
     needed, _ = steps_per_tick(unlimited, material, hand.tick)
@@ -167,7 +167,7 @@ def _refine_steps(
         fine = with_level(level + LEVELS_TO_HALVE_STEP)
         fine_tip = _simulate_tip(fine, hand, values)
         after = _max_distance(tip, fine_tip)
-        # nothing coarser is stable: the first is taken as of first order
+        # Coarser steps are unstable, so the first refinement counts as first order.
         yield coarse, 2 * after if before is None else before, after
         if STEP_SIZE_RATIO ** (level + 2 * LEVELS_TO_HALVE_STEP) >= MAX_STEPS_PER_TICK:
             return
@@ -183,7 +183,7 @@ def _simulate_tip(string: String, hand: HandMotion, values: np.ndarray) -> np.nd
 def _max_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the largest distance at any time, (C,) [m].
 
-    Infinite where a run was rejected.
+    It is infinite where a run was rejected.
     """
     distance = np.linalg.norm(a - b, axis=-1).max(axis=1)
     largest: np.ndarray = np.nan_to_num(distance, nan=np.inf)

@@ -1,9 +1,9 @@
-"""Step loops compiled for blocks of candidates, and the buffers they run on.
+"""Step loops compiled for blocks of candidates, and their buffers.
 
-A candidate alone would leave all lanes but one idle. One lane makes of the same text a
-scalar loop, which takes half the time of sixteen lanes, with the paper's forces to the
-same bits. To compile it takes as long as a thousand runs save, so it is compiled after
-these.
+A single candidate leaves all lanes but one idle. The same text with one lane is a
+scalar loop, which takes half the time of sixteen lanes. With the paper's forces its
+result is the same to the last bit. Its compilation takes as long as a thousand runs
+save, so it is compiled after these.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from stringcast.stages.model.engine.threads import parallel_for
 from stringcast.stages.model.string import PAPER_EFFECTS
 
 # Runs of one candidate after which a loop of one lane pays: each saves 0.4 to 3 ms, and
-# to compile it takes 1.5 to 2.6 s.
+# compilation takes 1.5 to 2.6 s.
 RUNS_BEFORE_SINGLE_LANE = 1000
-PADDING_POINTS = 2  # points after the tip, never written, for what looks beyond it
+PADDING_POINTS = 2  # zero points after the tip, which the loop reads
 CACHE_LINE = 64  # bytes
 
 StepLoop = Callable[..., None]
@@ -54,7 +54,7 @@ def compile_step_loop(
     integrator : Integrator
         The time step.
     lanes : int
-        Candidates side by side.
+        Number of candidates side by side.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def lane_count(
 ) -> int:
     """Choose how many candidates run side by side.
 
-    One alone has a loop of one lane, once it pays to compile that.
+    A single candidate runs in a loop of one lane, once that pays.
     """
     if candidates != 1:
         return LANES
@@ -99,11 +99,11 @@ def lane_count(
 def _single_lane_runs(
     effects: Effects, row_names: tuple[str, ...], integrator: Integrator
 ) -> Iterator[int]:
-    """Count the runs of one candidate alone.
+    """Count the runs of a single candidate.
 
-    As if there had been enough where the loop is in the cache already, and none for
-    more than the paper's forces, some of whose sums the compiler rounds otherwise in
-    one lane.
+    If the loop is in the cache, the count starts at the threshold. With effects beyond
+    the paper's forces it never reaches it, because the compiler rounds some of their
+    sums differently in one lane.
     """
     if effects != PAPER_EFFECTS:
         return repeat(-1)
@@ -112,9 +112,9 @@ def _single_lane_runs(
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
-    """Return zeros whose first number begins a cache line.
+    """Return zeros aligned to a cache line.
 
-    NumPy aligns to 16 bytes only; a vector of 64 that crosses a line is read and
+    NumPy aligns to 16 bytes only. A vector of 64 bytes that crosses a line is read and
     written twice.
     """
     size = np.dtype(np.float64).itemsize * math.prod(shape)

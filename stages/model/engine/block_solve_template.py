@@ -1,12 +1,12 @@
-"""The solve of the implicit leapfrog, as a template (Jinja).
+"""The linear solve of the implicit leapfrog, as a template (Jinja).
 
-Its text runs after each pass. It finds the change of velocity dv_i of each point from
+It runs after each pass and finds the change of velocity dv_i of each point from
 
     A_{i,i-2} dv_{i-2} + ... + A_{i,i+2} dv_{i+2} = m_i dt a_i,
 
-where a symmetric block of two by two couples point i to two neighbours on each side.
-With the matrix of `implicit_leapfrog.py`, B_i of hinge i, e_i of the segment that
-starts at point i, and S_i its averaged stiffness with both its hinges,
+where blocks of two by two couple point i to two neighbours on each side. With the
+matrix of `implicit_leapfrog.py`, B_i of hinge i, e_i of the segment that starts at
+point i, and S_i the averaged stiffness of that segment and both its hinges,
 
     A_{i,i}   = m_i + S_{i-1} + S_i + B_i (e_{i-1} e_i' + e_i e_{i-1}')
     A_{i,i+1} = -S_i - B_i e_{i-1} e_i' - B_{i+1} e_i e_{i+1}'
@@ -24,8 +24,8 @@ and substitution back from the tip
 
     dv_i = y_i - Q_i dv_{i+1} - B_{i+1} (e_{i+1} . dv_{i+2}) z_i.
 
-Rows TURN have e. Rows DV have first a, then y, then dv. U, Q, z and DV of the grasp are
-zero. What runs twice is a macro: a solve of functions took 1.8 s more to compile.
+Rows TURN contain e. Rows DV contain first a, then y, then dv. U, Q, z and DV of the
+grasp are zero. Repeated text is a macro: functions took 1.8 s more to compile.
 """
 
 BLOCK_SOLVE = """\
@@ -93,8 +93,8 @@ for i in range(n - ONE):
         rows[S11 + segment] = along * tx * tx + across * ty * ty
         rows[S12 + segment] = (along - across) * tx * ty
         rows[S22 + segment] = along * ty * ty + across * tx * tx
-# Elimination from the grasp to the tip. The first free point is taken by itself, for nothing is two points before it,
-# and the vector units need rows at distances that are known when compiling.
+# Elimination from the grasp to the tip. The first free point is separate: no point is two before it, and the vector
+# units need rows at distances known at compile time.
 for lane in range(LANES):
     point = NEXT + lane
     before = lane
@@ -112,7 +112,7 @@ for i in range(TWO, n):
         softening = bend * bend * (ex * rows[ZX + second] + ey * rows[ZY + second])
         impulse_before = bend * (ex * rows[DVX + second] + ey * rows[DVY + second])
         {{ eliminate() | indent(8) }}
-# Back from the tip: dv of each point, and with it velocity and position.
+# Substitution from the tip: dv, velocity and position of each point.
 for i in range(ONE, n):
     for lane in range(LANES):
         point = (n - i) * NEXT + lane

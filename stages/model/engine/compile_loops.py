@@ -1,7 +1,7 @@
-"""Compile the loops of all effects of the library, so that no first run waits for it.
+"""Compile the loops of all effects of the library, so that first runs do not wait.
 
-Usage: `python -m stringcast.stages.model.engine.compile_loops`. Loops that are in the
-cache already are not compiled again.
+Usage: `python -m stringcast.stages.model.engine.compile_loops`. Loops in the cache are
+not compiled again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stringcast.stages.model.string import (
     String,
 )
 
-# The integrator of each loop, and an effect that is in that loop alone
+# The integrator of each loop, and effects that only this loop contains.
 LOOPS: tuple[tuple[Integrator, tuple[type[StringEffect], ...]], ...] = (
     (ImplicitLeapfrog(), ()),
     (ImplicitLeapfrog(), JOINTLY_COMPILED_EFFECTS[:1]),
@@ -35,7 +35,7 @@ LOOPS: tuple[tuple[Integrator, tuple[type[StringEffect], ...]], ...] = (
 
 def main() -> None:
     """Compile all loops, each in a process of its own."""
-    # The first one also compiles what all need, for the others to find
+    # The first process also compiles the functions that all need.
     first, *others = LOOPS
     run_loop(*first)
     spawn = multiprocessing.get_context("spawn")

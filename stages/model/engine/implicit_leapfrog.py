@@ -1,43 +1,43 @@
 """A time step without a stability limit: leapfrog with averaged linear forces.
 
-Velocities belong to the middles of the steps, v = v(t - dt/2), and change by
+Velocities lie in the middle of a step, v = v(t - dt/2). One step solves
 
     M (v' - v) = dt f(x, v) - (dt/2 C + dt^2/4 K) (v' - v),    x' = x + dt v',
 
-where f has all forces at the step's start and C, K are the damping and stiffness of
-what is linear in the tension, moment and grasp-moment laws, along and across the
-segments as they lie. For linear forces this is the trapezoidal rule (Newmark's beta =
-1/4, gamma = 1/2 on the staggered grid): second order, stable at any step, and without
-damping of its own. The air sees the velocity extrapolated by half a step, and is second
-order too. What of a law is not linear stays explicit and bounds the step, as in the
-other methods. Laws of hinges per curvature (a bending that hardens) are averaged with
-what they are at the step's start, and bound nothing. Memory of hinges and grasp is
-averaged with its steepest rise, that where they turn back: an upper bound is stable,
-and off by a term of second order where it is less.
+where f is all forces at the start of the step. C and K are the damping and stiffness of
+the linear part of the tension, moment and grasp-moment laws, for the current directions
+of the segments. For linear forces this is the trapezoidal rule (Newmark's beta = 1/4,
+gamma = 1/2 on the staggered grid): second order, stable at any step, without damping of
+its own. Drag uses the velocity extrapolated by half a step, which is also second order.
+The nonlinear part of a law stays explicit and bounds the step, as in the other methods.
+Laws of hinges per curvature (hardening) are averaged with their value at the start of
+the step, and do not bound it. Memory of hinges and grasp is averaged with its largest
+slope, the one after a reversal. That upper bound is stable, and its error is of second
+order.
 
-Heavy damping along the segments would ring: the trapezoidal rule multiplies what decays
-at a rate c by (1 - z/2) / (1 + z/2) in a step, z = c dt, which is nearly -1 where z is
-large. The tension, and with it what pulls (T+ below), then changes sign in every step,
-and points depend on parameters in ripples: on a strip of z = 150, slopes over 1e-4 and
-1e-3 of a range differed by a quarter. So dt/2 C is there theta dt C with
+Strong damping along the segments would ring: in a step the trapezoidal rule multiplies
+a motion that decays at the rate c by (1 - z/2) / (1 + z/2), z = c dt, which is nearly
+-1 for large z. The tension, and with it T+ below, then changes sign in every step, and
+points become rippled functions of the parameters: on a strip with z = 150, difference
+quotients over 1e-4 and 1e-3 of a range differed by a quarter. Therefore axial damping
+has theta dt C instead of dt/2 C, with
 
     theta = (3 + 2 z) / (6 + 3 z),
 
-and the z of what decays fastest. It is 1/2 for small z, so that the order stays 2, and
-2/3 for large ones: what is too fast for the step is halved in each (as with a spectral
-radius of 1/2: Chung and Hulbert 1993, J. Appl. Mech. 60, 371).
+for the z of the fastest decay. theta is 1/2 for small z, so the order stays 2, and 2/3
+for large z: motion too fast for the step is halved in each step (a spectral radius of
+1/2: Chung and Hulbert 1993, J. Appl. Mech. 60, 371).
 
-With D the difference along the string, t and n = rotated t the directions of a segment,
-r its length and e = n / r how its angle turns with its end, the matrix is
+D is the difference along the string, t and n the tangent and normal of a segment, r its
+length, and e = n / r the derivative of its angle with respect to its end. The matrix is
 
     M + sum_k D_k' [A t t' + (dt^2/4 T+ / r) n n'] D_k
       + sum_h B_h (e_h D_h - e_{h-1} D_{h-1})' (same),
 
-with A, B the averaged axial and bending slopes and T+ the tension where it pulls. It is
-symmetric, positive definite, and couples a point to two neighbours on each side, to the
-second one by a product of two vectors only: eliminated from the grasp to the tip in
-blocks of two by two, all lanes at a time, without branches or pivots
-(`block_solve_template.py`).
+with the averaged axial and bending slopes A and B, and T+ = max(T, 0). It is symmetric
+and positive definite. It couples a point to two neighbours on each side, to the second
+by a rank-one block. Elimination runs from the grasp to the tip in blocks of two by two,
+for all lanes at once, without branches or pivots (`block_solve_template.py`).
 """
 
 from __future__ import annotations
@@ -54,9 +54,8 @@ from stringcast.stages.model.engine.integrators import Integrator, Slopes
 MAX_BEND_PER_STEP = 10.0  # [1/m] of a hinge
 
 # Rows: mass of a point [m]; averaged slopes A (one row) and B of each hinge, and the
-# linear part of B; e; the matrix of a segment S; then U, Q, z and the change of
-# velocity of the elimination. Rows that nothing is written to are zero: all beyond the
-# tip, and U, Q and z of the grasp.
+# linear part of B; e; the matrix S of a segment; U, Q, z and the change of velocity in
+# the elimination. Rows beyond the tip, and U, Q and z of the grasp, stay zero.
 SOLVER_ROWS = (
     *("MASS", "AXIAL", "BENDING", "LINEAR_BENDING"),
     *("TURN_X", "TURN_Y", "S11", "S12", "S22"),
@@ -106,7 +105,8 @@ class ImplicitLeapfrog(Integrator):
     ) -> np.ndarray:
         """Find the largest stable step [s], (C,).
 
-        Leapfrog's for what is not linear; extrapolated drag c alone needs c dt < 1.
+        It is leapfrog's limit for the nonlinear part. Extrapolated drag c alone needs c
+        dt < 1.
         """
         c = damping.sum(axis=0) + 2.0 * drag
         root = np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0))
@@ -118,13 +118,13 @@ class ImplicitLeapfrog(Integrator):
     ) -> Mapping[str, np.ndarray]:
         """Return masses and averaged slopes, by row, as `Integrator.row_values`.
 
-        dt/2 of the damping, more along the segments, and dt^2/4 of the stiffness, by
-        which a change acts.
+        An averaged slope is dt/2 times the damping (theta dt along the segments) plus
+        dt^2/4 times the stiffness.
         """
         stiffness, damping = slopes()
         weight = np.full_like(damping, 0.5)
         lightest = masses[:, 1:].min(axis=1)
-        z = dt * 4.0 * damping[0] / (segment * lightest)  # at most (Gershgorin)
+        z = dt * 4.0 * damping[0] / (segment * lightest)  # upper bound (Gershgorin)
         weight[0] = (3.0 + 2.0 * z) / (6.0 + 3.0 * z)
         averaged = weight * dt * damping + 0.25 * dt**2 * stiffness
         axial, bending, grasp = averaged[..., None]

@@ -1,9 +1,10 @@
-"""Time steps of the string engine: each is the few lines that move one mass point.
+"""Time steps of the string engine: each is a few lines that move one mass point.
 
-A step is one or more passes over the string. `update_source` is text that the step loop
-holds where the acceleration (ax, ay) of a point is known; it sees its position px, py,
-its velocity qx, qy, the step dt, and rows of its own. A method that moves the points
-together only keeps the acceleration, and moves them after the pass (`solve_source`).
+A step is one or more passes over the string. The step loop contains the text
+`update_source` where it has the acceleration (ax, ay) of a point. The text uses the
+position px, py, the velocity qx, qy, the step dt, and rows of the integrator. A method
+that moves all points together only stores the acceleration, and moves the points after
+the pass (`solve_source`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from stringcast.stages.model.engine import rotation
 
-# Stiffness and damping: axial, in bending and at the grasp, (3, C).
+# Stiffness and damping, (3, C) each: axial, in bending and at the grasp.
 Slopes = Callable[[], tuple[np.ndarray, np.ndarray]]
 
 
@@ -28,21 +29,21 @@ class Integrator:
     name : str
         Name of the method.
     stage_times : tuple of float
-        When in a step the forces are evaluated, in steps, one for each pass.
+        Times at which the passes evaluate forces, as fractions of a step.
     order : int
         Order of convergence.
     update_source : str
         Text that moves a point.
     velocity_lag : float
-        How far the velocities that it keeps are behind the positions, in steps.
+        Lag of the stored velocities behind the positions, in steps.
     row_names : tuple of str
-        Names of its own rows.
+        Names of the integrator's rows.
     velocity_source : str
-        Text of the velocity qx, qy that loads see.
+        Text that computes the velocity qx, qy for loads.
     averaged_slots : tuple of str
-        Slots that bound no step, since the step averages them as they are.
+        Slots that do not bound the step, because it averages them completely.
     turn_source : str
-        Text of how a segment's turn in a step is measured.
+        Text that measures a segment's turn in a step.
     solve_source : str
         Template of the text that runs after each pass.
     """
@@ -66,9 +67,9 @@ class Integrator:
         Parameters
         ----------
         frequency2, damping : ndarray of shape (M, C)
-            Bounds [1/s^2], [1/s] for M kinds of motion, whose sums bound all together.
+            Bounds [1/s^2], [1/s] for M kinds of motion; their sums bound the whole.
         drag : ndarray of shape (C,)
-            The most that air adds [1/s].
+            Largest damping rate of drag [1/s].
 
         Returns
         -------
@@ -80,16 +81,16 @@ class Integrator:
     def step_limiting_slope(
         self, steepest: np.ndarray, gentlest: np.ndarray
     ) -> np.ndarray:
-        """Return the part of a law's slope that limits the step: all of it.
+        """Return the part of a law's slope that limits the step.
 
-        steepest, gentlest: (C,) over the string's range.
+        steepest, gentlest: largest and smallest slope over the string's range, (C,).
         """
         return steepest
 
     def row_values(
         self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float
     ) -> Mapping[str, np.ndarray]:
-        """Return constants of the integrator's own rows, by row, (C, 1 to n) each.
+        """Return constants of the integrator's rows, by row, (C, 1 to n) each.
 
         Parameters
         ----------
@@ -98,7 +99,7 @@ class Integrator:
         segment : ndarray of shape (C,)
             Rest length of a segment [m].
         slopes : callable
-            Finds what may be averaged.
+            Returns the slopes that may be averaged.
         dt : float
             Step [s].
         """
@@ -120,7 +121,7 @@ class SemiImplicitEuler(Integrator):
     ) -> np.ndarray:
         """Find the largest stable step [s], (C,).
 
-        By Jury's criterion for x'' = -w^2 x - c x': w^2 dt^2 + 2 c dt < 4.
+        Jury's criterion for x'' = -w^2 x - c x' is w^2 dt^2 + 2 c dt < 4.
         """
         c = damping.sum(axis=0) + drag
         largest_step: np.ndarray = 4.0 / (
@@ -129,7 +130,7 @@ class SemiImplicitEuler(Integrator):
         return largest_step
 
 
-# Rows: position and velocity at the step's start, and weighted sums of the stages.
+# Rows: position and velocity at the start of the step, and weighted sums of stages.
 RUNGE_KUTTA_ROWS = (
     "START_X",
     "START_Y",
@@ -182,8 +183,8 @@ class RungeKutta4(Integrator):
     ) -> np.ndarray:
         """Find the largest stable step [s], (C,).
 
-        Real axis to 2.78, imaginary axis to 2.82; the bound of both together, kept
-        simple.
+        The limit is 2.78 on the real axis and 2.82 on the imaginary axis. The bound for
+        both together is a simple one.
         """
         c = damping.sum(axis=0) + drag
         largest_step: np.ndarray = 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))

@@ -1,22 +1,22 @@
-"""The step loop, fused for one set of effects: which rows it has, and its text.
+"""Source text and rows of the step loop for one set of effects.
 
-`generate_source` writes a module that holds the laws of the effects, word for word, and
-one loop around them; Numba compiles it (`batching.py`). What is not given is not in the
-text, and costs nothing. Text, because Numba finds machine code of a text again in the
-next process, and that of a loop over functions never (../README.md).
+`generate_source` writes a module that contains the laws of the effects and one loop
+around them; Numba compiles it (`batching.py`). Other effects are not in the text and
+take no time. It is text because Numba finds machine code of a file again in the next
+process, but not that of a closure over functions (../README.md).
 
 Candidates run side by side in lanes. Every quantity of a mass point or a segment is a
-row with a number for each lane; the innermost loop runs over the row, branch-free, so
-that LLVM fills the vector units. It does so only where it sees that rows do not
-overlap: all rows lie in one buffer at distances known at compile time, and even what is
-needed only once (a segment's tension, say) has a row for each segment. The rows of a
-point lie together, and so spread evenly over the sets of the first cache. Indices are
-unsigned, so that none can be negative.
+row with one number for each lane. The innermost loop runs over the row without
+branches, so LLVM fills the vector units. LLVM must see that rows do not overlap.
+Therefore all rows lie in one buffer at distances known at compile time, and even
+temporary quantities, such as a segment's tension, have a row for each segment. The rows
+of a point are adjacent, which spreads them evenly over the sets of the first cache.
+Indices are unsigned, so none can be negative.
 
-A pass measures a segment ahead of the point it moves: segment i + 1 needs points i + 1
-and i + 2 as they were, point i + 1 needs the forces of segments i and i + 1. Segment
-angles are continuous: each pass adds the angle by which the segment has turned since
-the last, so that hinges may wind through +-pi.
+A pass measures a segment ahead of the point that it moves: segment i + 1 needs the old
+positions of points i + 1 and i + 2, and point i + 1 needs the forces of segments i and
+i + 1. Segment angles are unwrapped: each pass adds the turn since the last pass, so a
+hinge may wind past +-pi.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ else:
 
 LANES = 16  # candidates side by side: 128 bytes of each quantity, two cache lines
 
-# Rows of a point, and of the segment that starts there; those of the integrator follow.
+# Rows of a point and of the segment that starts there. The integrator's rows follow.
 POINT_ROWS = (
     "X",
     "Y",
@@ -104,7 +104,7 @@ def row_numbers(
 ) -> dict[str, int]:
     """Return the numbers of a point's rows by name.
 
-    The last ones belong to laws with memory: the hinge's last curvature, and the state
+    The last rows belong to laws with memory: the hinge's last curvature, and the state
     of each effect.
     """
     counts = []

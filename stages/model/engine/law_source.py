@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from stringcast.stages.model.effect import StringEffect
 from stringcast.stages.model.engine.law_slots import FREE_LENGTH_ROWS, law_arguments
 
-# What a law's arguments are in the text of the loop, by slot. A free string that is
-# longer than stated has arc lengths that are longer by the same ratio.
+# Expressions of a law's arguments in the loop, by slot. In a free string longer than
+# stated, arc lengths are scaled by the ratio.
 ARGUMENT_EXPRESSIONS: dict[str, dict[str, str]] = {
     "tension": {"stretch": "stretch", "rate": "rate", "s": "s_middle{ratio}"},
     "moment": {"curvature": "curvature", "rate": "bend", "s": "s_hinge{ratio}"},
-    "hinge_memory": {"change": "change", "dt": "lapse"},
+    "hinge_memory": {"change": "change", "dt": "duration"},
     "hinge_memory_moment": {},
-    "grasp_memory": {"change": "change", "dt": "lapse"},
+    "grasp_memory": {"change": "change", "dt": "duration"},
     "grasp_memory_moment": {},
     "hinge_stiffness": {},
     "grasp_moment": {"angle": "curvature", "rate": "bend"},
@@ -46,7 +46,7 @@ MASS_SLOTS = {"density", "tip_mass", "tip_length"}
 
 @dataclass(frozen=True)
 class LawSource:
-    """The laws of some effects as text of the loop.
+    """Text of the laws of some effects in the loop.
 
     Parameters
     ----------
@@ -65,16 +65,16 @@ class LawSource:
 
     @property
     def masses_vary(self) -> bool:
-        """Whether a point's mass may differ from what its length weighs."""
+        """Whether a point's mass may differ from that of its length of string."""
         return any(MASS_SLOTS & effect.laws().keys() for effect in self.effects)
 
     @property
     def per_segment(self) -> str:
-        """Row with one over a segment's rest length, if candidates differ in it."""
+        """Row of the inverse rest length of a segment, if candidates differ in it."""
         return self._row_if_any(FREE_LENGTH_ROWS[1])
 
     def definitions(self) -> list[str]:
-        """Return all laws word for word, as functions named after effect and slot."""
+        """Return the source of all laws, as functions named after effect and slot."""
         texts = []
         for slot in ARGUMENT_EXPRESSIONS:
             for effect in self.effects_with(slot):
@@ -94,10 +94,9 @@ class LawSource:
     def call(self, effect: type[StringEffect], slot: str, **arguments: str) -> str:
         """Return a call of a law with its arguments.
 
-        Arguments of the slot are passed by name; `arguments` are further ones. All
-        others are parameters, of which the effect's own come before the paper's.
-
-        Raises TypeError if the law takes an argument that is neither.
+        Arguments of the slot are passed by name; `arguments` are additional ones. All
+        others are parameters; the effect's own take precedence over the paper's. Raises
+        TypeError if the law takes any other argument.
         """
         known = {**ARGUMENT_EXPRESSIONS[slot], **arguments}
         ratio = self._row_if_any(FREE_LENGTH_ROWS[0])

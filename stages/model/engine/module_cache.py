@@ -1,7 +1,7 @@
-"""Modules of generated text, written with their machine code to a cache folder.
+"""Modules of generated text, stored with their machine code in a cache folder.
 
-A file is named after a hash of its own text, of Numba, NumPy, Python and the processor:
-changed text is a new file, and stale machine code cannot be read.
+A file is named after a hash of its text and of Numba, NumPy, Python and the processor.
+Changed text is a new file, so stale machine code is never read.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def import_generated_module(text: str) -> ModuleType:
 
 
 def module_path(text: str) -> Path:
-    """Return the file of the module of this text, beside its machine code.
+    """Return the file of the module of this text.
 
-    In the folder that STRINGCAST_CACHE names, or in the clone's own.
+    Its machine code lies in the same folder: STRINGCAST_CACHE, or one in the clone.
     """
     folder = Path(os.environ.get("STRINGCAST_CACHE") or ROOT / ".numba_cache")
     existing = folder if folder.exists() else folder.parent
@@ -56,7 +56,7 @@ def module_path(text: str) -> Path:
 
 @cache
 def private_temporary_folder() -> Path:
-    """Return a temporary folder into which nobody else can have put code."""
+    """Return a temporary folder to which only this user can write code."""
     folder = Path(tempfile.gettempdir()) / f"stringcast-{getpass.getuser()}"
     with suppress(OSError):
         folder.mkdir(mode=0o700)
@@ -66,14 +66,14 @@ def private_temporary_folder() -> Path:
 
 
 def _is_private_folder(folder: Path) -> bool:
-    """Return whether this is a folder, no link, that only this user may use."""
+    """Return whether this is a folder (not a link) that only this user may use."""
     try:
         status = folder.lstat()
     except OSError:
         return False
     if not stat.S_ISDIR(status.st_mode):
         return False
-    # Windows has a temporary folder for each user, and modes that say nothing
+    # Windows has a temporary folder for each user and does not use modes.
     if not hasattr(os, "getuid"):
         return True
     return status.st_uid == os.getuid() and not status.st_mode & 0o077

@@ -1,4 +1,4 @@
-"""Print the step loop that is compiled for the paper's forces and further effects.
+"""Print the step loop for the paper's forces and further effects.
 
 Usage: `python -m stringcast.stages.model.engine.print_loop [EFFECT ...]`, for example
 `... tip_mass maxwell_slip`.

@@ -1,9 +1,9 @@
 """The incremental rotation of a segment in a step, as source text for the step loop.
 
-`turned(cross, dot)` [rad] from the cross and dot products of a segment before and
-after, with atan(d) = d sum_k a_k d^(2k). The a_k were fitted by `fit_atan_coefficients`
-(NumPy 2.4, rounding to the last digit included) and stand here as numbers: a fit's last
-digits depend on the LAPACK behind it, and with them the compiled loop and its results.
+`turned(cross, dot)` [rad] takes the cross and dot products of the old and new segment,
+and uses atan(d) = d sum_k a_k d^(2k). The a_k were fitted by `fit_atan_coefficients`
+(NumPy 2.4). They are constants because the last digits of a fit depend on LAPACK, and
+the compiled loop and its results depend on them.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-ATAN_COEFFICIENTS_TO_HALF = (  # |d| <= 0.5, of which the error is below 2e-10
+ATAN_COEFFICIENTS_TO_HALF = (  # |d| <= 0.5, error below 2e-10
     *(0.9999999999885514, -0.3333333273894576),
     *(0.19999949158158573, -0.1428404706057097),
     *(0.11083986537731327, -0.08846896396469683),
     *(0.06431530938552818, -0.02966735928010546),
 )
-ATAN_COEFFICIENTS_TO_ONE = (  # |d| <= 1, of which the error is below 1e-10
+ATAN_COEFFICIENTS_TO_ONE = (  # |d| <= 1, error below 1e-10
     *(0.9999999999390133, -0.33333331518199644),
     *(0.19999909957055376, -0.14283948421650622),
     *(0.11092984790309315, -0.08979051060947522),
@@ -31,7 +31,7 @@ ATAN_COEFFICIENTS_TO_ONE = (  # |d| <= 1, of which the error is below 1e-10
 def fit_atan_coefficients(degree: int, limit: float) -> np.ndarray:
     """Fit coefficients a_k (degree,) of atan(d) = d sum_k a_k d^(2k).
 
-    At Chebyshev nodes of d^2 for |d| <= limit.
+    The nodes are Chebyshev's in d^2 for |d| <= limit.
     """
     nodes = np.polynomial.chebyshev.chebpts1(200)
     d2 = (nodes + 1.0) / 2.0 * limit**2
@@ -47,7 +47,7 @@ def _horner_source(coefficients: Sequence[float]) -> str:
     return text
 
 
-# For small steps: up to 26 degrees; no sense from 90 on.
+# For small steps: accurate up to 26 degrees, wrong from 90.
 SMALL_TURN_SOURCE = f"""
 @njit(**LAW)
 def turned(cross, dot):
@@ -56,7 +56,7 @@ def turned(cross, dot):
     return d * {_horner_source(ATAN_COEFFICIENTS_TO_HALF)}
 """
 
-# For steps in which a limp string may fold: up to 180 degrees.
+# For steps in which a limp string may fold: accurate up to 180 degrees.
 ANY_TURN_SOURCE = f"""
 @njit(**LAW)
 def turned(cross, dot):

@@ -1,4 +1,4 @@
-"""Positions between the ticks of a simulation, and between its mass points."""
+"""Interpolation between the ticks and between the mass points of a simulation."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import numpy as np
 
 from stringcast.stages.model.engine.threads import compile_kernel, parallel_for
 
-TIME_NODES = 6  # ticks that the polynomial goes through
-PLACE_NODES = 4  # mass points that the curve between them goes through
-TICK_TOLERANCE = 1e-6  # of a tick, which is as good as none
+TIME_NODES = 6  # ticks in the interpolating polynomial
+PLACE_NODES = 4  # mass points in the interpolating cubic
+TICK_TOLERANCE = 1e-6  # of a tick
 MAX_TIP_DISTANCE_M = 1e3
-# Candidates that are worth a thread: each takes ten microseconds and more.
+# Candidates in a piece of work for a thread: each takes ten microseconds or more.
 CANDIDATES_PER_PIECE = 128
 
 
 def last_needed_tick(position: np.ndarray) -> np.ndarray:
-    """Find the last tick that each candidate needs, (C,), or one for all, (1,).
+    """Find the last tick that each candidate needs, (C,), or all need, (1,).
 
-    A candidate's result must not depend on how long others are simulated.
+    A candidate's result must not depend on the duration of others.
 
-    position: (F,) or (C, F) in ticks.
+    position: times, (F,) or (C, F) in ticks.
     """
     latest = np.atleast_2d(position).max(axis=1)
     last_tick: np.ndarray = np.maximum(
@@ -29,9 +29,10 @@ def last_needed_tick(position: np.ndarray) -> np.ndarray:
 
 
 def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Return whether candidates keep their tip within a kilometre to the end, (C,).
+    """Return whether the tip stays within `MAX_TIP_DISTANCE_M`, (C,).
 
-    ticks: (C, K, n, 2). last: (C,) or (1,), number of the last tick that counts.
+    ticks: positions, (C, K, n, 2). last: number of the last tick that counts, (C,) or
+    (1,).
     """
     bounded = np.ones(len(ticks), dtype=np.bool_)
     _find_bounded(ticks, np.broadcast_to(last, len(ticks)), bounded)
@@ -40,11 +41,11 @@ def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:
 
 @compile_kernel
 def _find_bounded(ticks: np.ndarray, last: np.ndarray, bounded: np.ndarray) -> None:
-    """Find candidates as `is_bounded`. bounded: ones (C,), filled in place."""
+    """Find candidates as `is_bounded`. bounded: (C,) of ones, changed in place."""
     for c in range(len(ticks)):
         for k in range(min(last[c] + 1, ticks.shape[1])):
             distance = abs(ticks[c, k, -1, 0]) + abs(ticks[c, k, -1, 1])
-            if not distance < MAX_TIP_DISTANCE_M:  # not even where it is no number
+            if not distance < MAX_TIP_DISTANCE_M:  # true for NaN
                 bounded[c] = False
                 break
 
@@ -52,14 +53,14 @@ def _find_bounded(ticks: np.ndarray, last: np.ndarray, bounded: np.ndarray) -> N
 def interpolate_ticks(
     ticks: np.ndarray, position: np.ndarray, last: np.ndarray
 ) -> np.ndarray:
-    """Find positions between ticks by Lagrange's polynomial through the six nearest.
+    """Interpolate positions between ticks by the polynomial through the nearest six.
 
     Parameters
     ----------
     ticks : ndarray of shape (C, K, n, 2)
         Positions at the ticks.
     position : ndarray of shape (F,) or (C, F)
-        When they are wanted, in ticks. Those before the first count as the first.
+        Times in ticks. Times before the first tick count as the first.
     last : ndarray of int, shape (C,) or (1,)
         As `last_needed_tick`.
 
@@ -69,7 +70,7 @@ def interpolate_ticks(
     """
     position = np.maximum(position, 0)
     whole = np.round(position)
-    # the polynomial is a tick to the bit there
+    # There the result is the tick itself.
     near_tick = np.abs(position - whole) < TICK_TOLERANCE
     position = np.where(near_tick, whole, position)
     if position.ndim == 1 and np.array_equal(position, whole):
@@ -95,10 +96,10 @@ def interpolate_ticks(
 
 
 def interpolate_along_string(points: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Find places between the points of a curve, (C, F, M, 2).
+    """Interpolate positions between the points of a curve, (C, F, M, 2).
 
-    Each is on the cubic through the four nearest points, or on the straight line
-    through the first two if it lies before the first.
+    A place lies on the cubic through the four nearest points. Before the first point it
+    lies on the straight line through the first two.
 
     points: (C, F, n, 2). place: (C, M) in numbers of points.
     """
@@ -128,8 +129,8 @@ def _sum_weighted_points(
 ) -> None:
     """Sum weighted points of each candidate.
 
-    points: (C, F, n, 2). first: of the points that each place lies between, (C, M);
-    weight: of these, (C, M, W). result: (C, F, M, 2), filled in place.
+    points: (C, F, n, 2). first: the first of the nodes of each place, (C, M). weight:
+    weights of the nodes, (C, M, W). result: (C, F, M, 2), filled in place.
     """
     for c in range(len(points)):
         for f in range(points.shape[1]):
@@ -144,7 +145,7 @@ def _sum_weighted_points(
 
 @compile_kernel
 def _lagrange_weight(offset: float, node: int, nodes: int) -> float:
-    """Weigh one of evenly spaced nodes at an offset from the first, in spacings."""
+    """Return Lagrange's weight of a unit-spaced node, at an offset from the first."""
     weight = 1.0
     for other in range(nodes):
         if other != node:
@@ -156,16 +157,16 @@ def _lagrange_weight(offset: float, node: int, nodes: int) -> float:
 def interpolate_measurements(
     points: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
-    """Find positions of measured places, by the cubic through the four nearest points.
+    """Interpolate positions of measured points, by the cubic through the nearest four.
 
     Parameters
     ----------
     points : ndarray of shape (C, F, n, 2)
         Simulated points.
     frame : ndarray of int, shape (N,)
-        Frame in which each is measured.
+        Frame of each measurement.
     place : ndarray of shape (N,)
-        Where along the string, in numbers of points.
+        Place along the string, in numbers of points.
 
     Returns
     -------
@@ -207,7 +208,8 @@ def _interpolate_candidates(
             offset = position[c, f] - first
             for i in range(TIME_NODES):
                 weight[i] = _lagrange_weight(offset, i, TIME_NODES)
-            # Innermost over a whole tick, which the compiler turns into vectors
+            # The innermost loop runs over a whole tick, so that the compiler vectorises
+            # it.
             row = result[c, f]
             row[:] = 0.0
             for i in range(TIME_NODES):

@@ -35,8 +35,8 @@ from stringcast.stages.model.statics.chain import (
 from stringcast.stages.model.statics.equilibrium import hanging_shape, stretched_lengths
 from stringcast.stages.model.string import String
 
-# [1/m] or [rad] by which a hinge is bent to find its memory after a full reversal: no
-# law's memory goes further.
+# [1/m] or [rad] by which a hinge is bent back to find its memory after a full reversal.
+# No law's memory reaches further.
 FULL_REVERSAL_BEND = 1e3
 
 
@@ -49,7 +49,7 @@ class StringMotion:
     points : ndarray of shape (C, F, n, 2)
         Positions [m], NaN where a run was rejected.
     finite : ndarray of bool, shape (C,)
-        Which candidates were not rejected.
+        Whether each candidate was accepted.
     """
 
     points: np.ndarray
@@ -63,17 +63,16 @@ class StringMotion:
 
 @dataclass(frozen=True)
 class InitialConfiguration:
-    """How strings lie and move at first.
+    """Initial shape and motion of strings.
 
     Parameters
     ----------
     angles, lengths : ndarray of shape (C, n - 1)
-        Of the segments [rad], [m].
+        Angles [rad] and lengths [m] of the segments.
     velocity : ndarray of shape (C, n, 2)
-        Of the points [m/s].
+        Velocities of the points [m/s].
     rest_angles : ndarray of shape (C, n - 1)
-        Angles at which the memory of hinges is empty: where the string would hang at
-        rest [rad].
+        Angles at which the string would hang at rest, without memory [rad].
     is_at_rest : bool
         Whether the strings hang at rest.
     memory_reversal : float or ndarray of shape (C, 1)
@@ -98,7 +97,8 @@ def simulate(
 ) -> StringMotion:
     """Move candidates of a string along the hand's motion.
 
-    Results do not depend on the number of threads nor on which candidates run together.
+    The result of a candidate depends neither on the number of threads nor on other
+    candidates.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ def simulate(
     values : ndarray of shape (C, P) or (P,)
         Parameters of the candidates, in the order of `string.parameters`.
     times : ndarray of shape (F,) or (C, F)
-        When the string is wanted [s]. Before the hand's first tick nothing moves.
+        Times of the result [s]. Nothing moves before the hand's first tick.
     initial : StringState, optional
-        Shape and motion of the string at the first tick, whatever the time it names.
-        Without it the string hangs at rest.
+        State at the first tick; its own time is ignored. Without it the string hangs at
+        rest.
     turn : float or ndarray of shape (C,)
-        On which side of the hand it hangs at rest, as in `hanging_shape` [rad].
+        Side of the hand at rest, as in `hanging_shape` [rad].
 
     Returns
     -------
@@ -126,7 +126,7 @@ def simulate(
     position = (times - hand.start) / hand.tick
     last = last_needed_tick(position)
     hand = hand.with_ticks(int(last.max()) + 1)
-    # a candidate in several trials is the same string in each
+    # A candidate in several trials is the same string in each.
     distinct, place = np.unique(material, axis=0, return_inverse=True)
     active, active_material = string.without_absent_effects(distinct)
     slopes = sampled_slopes(active, active_material)
@@ -137,7 +137,7 @@ def simulate(
 
     points = np.empty((len(material), times.shape[-1], string.points, 2))
     finite = np.zeros(len(material), dtype=bool)
-    for group_steps in np.unique(steps[possible]):  # who shares a step shares the loop
+    for group_steps in np.unique(steps[possible]):
         chosen = np.flatnonzero(possible & (steps == group_steps))
         group_material = material[chosen]
         grasp = _free_string_hand(string, group_material, hand.for_candidates(chosen))
@@ -153,19 +153,19 @@ def simulate(
             string, group_material, group_gentlest, grasp, int(group_steps), start
         )
         end = last
-        moments = position
+        tick_positions = position
         if times.ndim == 2:
             end = last[chosen]
-            moments = position[chosen]
-        at_moments = interpolate_ticks(ticks, moments, end)
-        at_arc_lengths = _at_stated_arc_lengths(string, group_material, at_moments)
+            tick_positions = position[chosen]
+        at_times = interpolate_ticks(ticks, tick_positions, end)
+        at_arc_lengths = _at_stated_arc_lengths(string, group_material, at_times)
         if len(chosen) == len(points):
-            points = at_arc_lengths  # mostly: a copy would take as long as to fill it
+            points = at_arc_lengths  # the usual case, without a copy
         else:
             points[chosen] = at_arc_lengths
         finite[chosen] = is_bounded(ticks, end)
     with np.errstate(invalid="ignore", over="ignore"):
-        # a sum is not finite where a number is not
+        # A sum is finite only if all terms are.
         finite &= np.isfinite(points.sum(axis=(1, 2, 3)))
     points[~finite] = np.nan
     return StringMotion(points, finite)
@@ -174,7 +174,7 @@ def simulate(
 def _at_stated_arc_lengths(
     string: String, material: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Read strings that begin elsewhere than stated at the stated arc lengths."""
+    """Interpolate free strings at the stated arc lengths."""
     ratio = string.free_length_ratio(material)[:, None]
     if np.all(ratio == 1):
         return points
@@ -187,7 +187,7 @@ def _at_stated_arc_lengths(
 def _free_string_hand(
     string: String, material: np.ndarray, hand: HandMotion
 ) -> HandMotion:
-    """Move a hand from the stated grasp to where the free string begins."""
+    """Move a hand from the stated grasp to the beginning of the free string."""
     pose, rate = hand.pose, hand.rate
     for along, across in string.law_values("grasp_offset", material, {}):
         if np.any(along) or np.any(across):
@@ -207,12 +207,12 @@ def _run_candidates(
     steps: int,
     start: InitialConfiguration,
 ) -> np.ndarray:
-    """Run candidates that share a step from the start.
+    """Run candidates that share a step from their initial configuration.
 
-    gentlest: rise of the laws, as `sampled_slopes`, (2, 3, C).
+    gentlest: smallest slopes of the laws, as in `sampled_slopes`, (2, 3, C).
 
-    Returns positions at the ticks, (C, K, n, 2), of no meaning once a candidate
-    diverges.
+    Returns positions at the ticks, (C, K, n, 2). They are meaningless after a candidate
+    has diverged.
     """
     count = len(material)
     compiled, compiled_material = string.with_compiled_effects(material)
@@ -237,8 +237,8 @@ def _run_candidates(
         length=string.segment_length,
     )
 
-    # The integrator keeps velocities that lag behind positions. From a step that is
-    # tried on a copy, v(-lag dt) = v(0) - lag (v(dt) - v(0)). At rest all are zero.
+    # Stored velocities lag behind positions. One step of a copy gives v(-lag dt) = v(0)
+    # - lag (v(dt) - v(0)). At rest all are zero.
     lag = string.integrator.velocity_lag
     if lag and not start.is_at_rest:
         powers = (1.0 / steps) ** (np.arange(12) % 4)
@@ -256,9 +256,9 @@ def _run_candidates(
 
 
 def _by_lane(rows: np.ndarray, lanes: int) -> np.ndarray:
-    """Put candidates side by side: from (C, M) to (blocks, M, lanes).
+    """Arrange candidates in lanes: from (C, M) to (blocks, M, lanes).
 
-    The last block is filled up with the last candidate.
+    Copies of the last candidate fill the last block.
     """
     blocks = -(-len(rows) // lanes)
     index = np.minimum(np.arange(blocks * lanes), len(rows) - 1)
@@ -269,7 +269,7 @@ def _by_lane(rows: np.ndarray, lanes: int) -> np.ndarray:
 def _configuration_at_rest(
     string: String, material: np.ndarray, hand: HandMotion, turn: np.ndarray
 ) -> InitialConfiguration:
-    """Find how strings hang at rest at the hand's first pose."""
+    """Find the configuration at rest at the hand's first pose."""
     active, active_material = string.without_absent_effects(material)
     angles, lengths = hanging_shape(active, active_material, hand.pose[:, 0], turn)
     velocity = np.zeros((len(material), string.points, 2))
@@ -285,10 +285,10 @@ def _configuration_from_state(
     state: StringState,
     turn: np.ndarray,
 ) -> InitialConfiguration:
-    """Find how strings lie and move in a state.
+    """Find the configuration in a state.
 
-    Each candidate is stretched as it would be if it hung there at rest: released
-    without strain, a string would ring.
+    Each candidate has the stretch of static equilibrium in that shape, because a string
+    released without strain would ring.
     """
     count, segments = len(material), string.points - 1
     pose, rate = hand.pose[:, 0], hand.rate[:, 0]
@@ -326,9 +326,9 @@ def _configuration_from_state(
 def _configuration_rows(
     pose: np.ndarray, start: InitialConfiguration
 ) -> dict[str, np.ndarray]:
-    """Compute the kernel's rows of place and velocity, (C, n - 1 or n) each.
+    """Compute the kernel's rows of position and velocity, (C, n - 1 or n) each.
 
-    pose: (1 or C, 3) of the grasp [m], [m], [rad].
+    pose: pose of the grasp, (1 or C, 3) [m], [m], [rad].
     """
     count = len(start.angles)
     tangent, free_positions = tangents_and_positions(pose, start.angles, start.lengths)
@@ -349,9 +349,9 @@ def _configuration_rows(
 def _constant_rows(
     string: String, material: np.ndarray, gentlest: np.ndarray, dt: float
 ) -> dict[str, np.ndarray]:
-    """Compute what the loop reads of each point and never changes, (C, 1 to n) each.
+    """Compute the rows that the loop only reads, (C, 1 to n) each.
 
-    gentlest: as of `_run_candidates`. dt: step [s].
+    gentlest: as in `_run_candidates`. dt: step [s].
     """
     active, active_material = string.without_absent_effects(material)
     masses, cells = active.point_masses(active_material)
@@ -374,9 +374,9 @@ def _fill_buffers(
 ) -> np.ndarray:
     """Fill the kernel's buffers with rows (C, 1 to n), by name.
 
-    They are (blocks, points, rows, lanes).
+    Buffers are (blocks, points, rows, lanes). Rows that are not given are zero.
 
-    numbers: of the rows, by name. A row that is not given is zero.
+    numbers: numbers of the rows, by name.
     """
     blocks = -(-len(rows["X"]) // lanes)
     padded = points + batching.PADDING_POINTS
@@ -392,12 +392,12 @@ def _memory_rows(
     theta: np.ndarray,
     start: InitialConfiguration,
 ) -> dict[str, np.ndarray]:
-    """Find what hinges with a memory are bent to and remember, (C, n - 1) each.
+    """Find the initial bend and memory of hinges, (C, n - 1) each, grasp first.
 
-    The grasp's hinge comes first. The string was pulled slowly from its rest angles, at
-    which it remembers nothing, to its first angles.
+    The string was pulled slowly from its rest angles, where it has no memory, to its
+    initial angles.
 
-    theta: (1 or C,) of the hand [rad].
+    theta: direction of the hand, (1 or C,) [rad].
     """
     count = max(string.memory_count(slot) for slot in MEMORY_SLOTS)
     if not count:
@@ -414,7 +414,7 @@ def _memory_rows(
         pulled = bent - bend(start.rest_angles)
         rows["LAST_CURVATURE"][:, hinges] = bent
         pulled_memory = string.updated_memory(slot, material, pulled)
-        # the most that would be remembered if it were then released all the way
+        # The memory after a full reversal.
         back = -FULL_REVERSAL_BEND * np.sign(pulled)
         reversed_memory = string.updated_memory(slot, material, back, pulled_memory)
         for i, memory in enumerate(pulled_memory):
@@ -426,8 +426,9 @@ def _memory_rows(
 def _hermite_coefficients(hand: HandMotion, lanes: int) -> np.ndarray:
     """Find the coefficients of the hand's cubic in each tick, as the loop reads them.
 
-    a0 to a3 for x, y and theta each. One hand for all: (K - 1, 1, 12 lanes), as wide as
-    the lanes so that the loop loads vectors. Else the hands of each block.
+    They are a0 to a3 for x, y and theta each, (K - 1, blocks, 12 lanes). If all
+    candidates share one hand, there is one block with copies in all lanes, so that the
+    loop loads vectors.
     """
     p0, p1 = hand.pose[:, :-1], hand.pose[:, 1:]
     v0, v1 = hand.rate[:, :-1] * hand.tick, hand.rate[:, 1:] * hand.tick

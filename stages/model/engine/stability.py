@@ -1,10 +1,9 @@
-"""How small a step must be: a bound that covers every active force.
+"""Bounds of the step for stability, for all active forces.
 
-Each law's slopes (how steeply it rises with stretch, curvature or their rates) are
-sampled over the range a string can meet, so that a new effect is covered without
-declaring anything. The slopes are turned into squared frequencies and damping rates by
-the largest eigenvalues of the chain's axial, bending and grasp operators, whose sum
-bounds that of all together.
+The slopes of each law with stretch, curvature or their rates are sampled over the range
+that a string can reach, so a new effect needs no declaration. The largest eigenvalues
+of the chain's axial, bending and grasp operators convert slopes to squared frequencies
+and damping rates. Their sum bounds the whole.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from stringcast.stages.model.engine.law_slots import MEMORY_SLOTS
 from stringcast.stages.model.string import String
 
 STEP_SAFETY_FACTOR = 0.9  # of the largest stable step
-MAX_DRAG_SPEED_M_S = 30.0  # up to which air resistance is covered
-MAX_STIFFENING_STRETCH = 0.2  # whose tension stiffens the string sideways
-STEP_SIZE_RATIO = 1.2  # of one size of step to the next
-INSTANT_S = 1e-9  # in which nothing relaxes
-MAX_STEPS_PER_TICK = 5000  # more is impractical, and the candidate is rejected
-DIFFERENCE_FRACTION = 1e-4  # of sampled arguments' range, over which slopes are taken
-SPEED_DIFFERENCE = 1e-3  # of the speed, over which the slope of drag is taken
+MAX_DRAG_SPEED_M_S = 30.0  # largest speed in the air
+MAX_STIFFENING_STRETCH = 0.2  # its tension stiffens the string sideways
+STEP_SIZE_RATIO = 1.2  # of successive sizes of steps
+INSTANT_S = 1e-9  # too short for relaxation
+MAX_STEPS_PER_TICK = 5000  # a candidate that needs more is rejected
+DIFFERENCE_FRACTION = 1e-4  # of the range of an argument, to difference a law
+SPEED_DIFFERENCE = 1e-3  # of the speed, to difference drag
 
 DEFAULT_ARGUMENTS = dict.fromkeys(
     ("x", "y", "vx", "vy", "ty", "s", "t", "dt"), np.zeros((1, 1))
@@ -49,10 +48,10 @@ Slopes = tuple[np.ndarray, np.ndarray]
 def steps_per_tick(
     string: String, material: np.ndarray, tick: float, slopes: Slopes | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find how many steps each candidate takes in a tick.
+    """Find the number of steps of each candidate in a tick.
 
-    Steps come in a few sizes (each about 1.2 times the last), so that candidates can
-    run side by side; a candidate's own depends on nothing but itself.
+    Only a few sizes of steps exist (each about 1.2 times the last), so that candidates
+    can run side by side. A candidate's size does not depend on others.
 
     Parameters
     ----------
@@ -63,14 +62,14 @@ def steps_per_tick(
     tick : float
         Length of a tick [s].
     slopes : tuple of ndarray, optional
-        Of the laws, as `sampled_slopes`, where they are known already.
+        Known result of `sampled_slopes`.
 
     Returns
     -------
     steps : ndarray of int, shape (C,)
         Steps in a tick.
     possible : ndarray of bool, shape (C,)
-        Whether so many are practical.
+        Whether the number is practical.
     """
     if slopes is None:
         slopes = sampled_slopes(string, material)
@@ -82,8 +81,8 @@ def steps_per_tick(
     possible = np.isfinite(needed) & (needed <= MAX_STEPS_PER_TICK)
     needed = np.maximum(np.where(possible, needed, 1.0), 1.0)
 
-    # up to the next power of the ratio, then to the next whole number; one that is
-    # reached may come out a little above itself, hence the 1e-9
+    # Round up to the next power of the ratio, then to the next integer. The 1e-9 allows
+    # for rounding errors of an exact power.
     exponent = np.ceil(np.log(needed) / np.log(STEP_SIZE_RATIO) - 1e-9)
     steps = np.ceil(STEP_SIZE_RATIO**exponent - 1e-9).astype(int)
     return steps, possible
@@ -92,12 +91,12 @@ def steps_per_tick(
 def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     """Find the damping rate of loads at the fastest speed covered, (C,) [1/s].
 
-    Loads that declare a bound are left out: they depend on place, so that a sample at
-    one place says nothing about them.
+    Loads that declare a bound are excluded. They depend on place, so one sample does
+    not bound them.
     """
     undeclared = [e for e in string.effects if not hasattr(e, "bound")]
     plain, undeclared_material = string.with_only_effects(tuple(undeclared), material)
-    # slope of the load with the speed along x and along y, by a difference
+    # Slope of the load with the speed along x and along y, by a difference.
     slow = MAX_DRAG_SPEED_M_S
     fast = slow * (1.0 + SPEED_DIFFERENCE)
     vx = np.array([[slow, fast, 0.0, 0.0]])
@@ -115,17 +114,17 @@ def frequency_and_damping_bounds(
     """Bound squared frequency [1/s^2] and damping rate [1/s] of explicit forces.
 
     Both are (3 or more, C), with the rows axial, bending, grasp, and one for each load
-    that declares a bound. slopes: of the laws, as `sampled_slopes`.
+    that declares a bound. slopes: result of `sampled_slopes`.
     """
     masses, cells = string.point_masses(material)
     ratio = string.free_length_ratio(material)
-    # strings that differ in length alone share their eigenvalues
+    # Strings that differ only in length share eigenvalues.
     scaled_masses = masses / ratio[:, None]
     eigenvalues = [_operator_eigenvalues(m[1:].tobytes()) for m in scaled_masses]
     axial, bending, grasp = np.array(eigenvalues).T / ratio
     length = string.free_segment_lengths(material)
     operators = np.stack([axial / length, bending / length**3, grasp / length**2])
-    # a moment turns a compressed segment with a shorter lever
+    # In a compressed segment a moment has a shorter lever.
     operators[1:] /= string.shortest_segment**2
 
     integrator = string.integrator
@@ -150,12 +149,11 @@ def frequency_and_damping_bounds(
 
 
 def sampled_slopes(string: String, material: np.ndarray) -> Slopes:
-    """Find the steepest and gentlest slope of tension, moment and grasp moment.
+    """Find the largest and smallest slopes of tension, moment and grasp moment.
 
-    Both are (2, 3, C): the slopes with stretch, curvature and angle (stiffness), then
-    those with their rates (damping). The steepest is the largest magnitude over the
-    samples, the gentlest the smallest slope, at least 0. Laws that the string's
-    integrator averages as they are do not count.
+    Both are (2, 3, C): first slopes with stretch, curvature and angle (stiffness), then
+    those with their rates (damping). The largest counts by magnitude; the smallest is
+    at least 0. Laws that the integrator averages completely are excluded.
     """
     steepest, gentlest = [], []
     averaged = string.integrator.averaged_slots
@@ -178,18 +176,18 @@ def averageable_slopes(
 ) -> Slopes:
     """Find the stiffness and damping that an implicit step may average, (3, C) each.
 
-    They are the slopes that laws have everywhere, and those of hinges with a memory
-    where they turn back. gentlest: of the laws, as `sampled_slopes`, (2, 3, C).
+    They are the smallest slopes of the laws, plus the slopes of moments with memory
+    after a reversal. gentlest: smallest slopes, as in `sampled_slopes`, (2, 3, C).
     """
     stiffness, damping = gentlest
     return stiffness + memory_stiffness_bounds(string, material), damping
 
 
 def memory_stiffness_bounds(string: String, material: np.ndarray) -> np.ndarray:
-    """Bound the slope of moments with memory with curvature and angle, (3, C).
+    """Bound the slopes of moments with memory with respect to their bend, (3, C).
 
-    Rows are those of `sampled_slopes`. Such a moment is steepest where the hinge turns
-    back, which is tried from states all over the range.
+    Rows are those of `sampled_slopes`. Such a moment is steepest at a reversal, which
+    is tried from states over the whole range.
     """
     steepest = np.zeros((len(SAMPLED_ARGUMENTS), len(material)))
     for row, slot in enumerate(SAMPLED_ARGUMENTS):
@@ -219,8 +217,8 @@ def _difference_arguments(slot: str) -> tuple[dict[str, np.ndarray], float, floa
     Returns
     -------
     arguments : dict of ndarray, shape (1, 4 M)
-        Both arguments, in four groups: the first argument a step above its samples,
-        then below, the second a step above, then below.
+        Both arguments in four groups: the first one step above its samples, then below;
+        the second one step above, then below.
     step, rate_step : float
         The steps of the first and second argument.
     """
@@ -245,8 +243,8 @@ def slot_sum(
 ) -> np.ndarray:
     """Sum a slot's scalar laws for all candidates, (C, M), without memory.
 
-    The moment includes laws per curvature (`hinge_stiffness`), unless these are left
-    out. arguments: of the slot, (1 or C, M) each.
+    The moment includes laws per curvature if `with_hinge_stiffness`. arguments: the
+    slot's arguments, (1 or C, M) each.
     """
     columns = max(value.shape[1] for value in arguments.values())
     start = np.zeros((len(material), columns))
@@ -262,7 +260,7 @@ def load_sum(
 ) -> np.ndarray:
     """Sum the loads, (C, M, 2) [m/s^2].
 
-    Arguments not given are 0, and the tangent points right.
+    Missing arguments are 0, and the tangent points to the right.
     """
     known = DEFAULT_ARGUMENTS | arguments
     air = vector_slot_sum(string, material, "flow", known)
@@ -276,7 +274,7 @@ def vector_slot_sum(
 ) -> np.ndarray:
     """Sum a slot's vector laws for all candidates, (C, M, 2).
 
-    arguments: of the slot, (1 or C, M) each.
+    arguments: the slot's arguments, (1 or C, M) each.
     """
     columns = max(value.shape[1] for value in arguments.values())
     total = np.zeros((len(material), columns, 2))
@@ -293,7 +291,7 @@ def _operator_eigenvalues(masses: bytes) -> tuple[float, float, float]:
     The operators are first differences (axial), second differences (bending) and the
     turn of the first segment (grasp), weighted by the masses.
 
-    masses: of the free points, (n - 1,) float64 [m], as bytes for the cache.
+    masses: masses of the free points, (n - 1,) float64 [m], as bytes for the cache.
     """
     inverse_root = 1.0 / np.sqrt(np.frombuffer(masses))
     shift = np.eye(len(inverse_root), k=-1)

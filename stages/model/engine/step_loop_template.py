@@ -1,8 +1,7 @@
-"""The step loop of one set of effects and one integrator, as a template.
+"""The step loop for one set of effects and one integrator, as a template.
 
-A template (Jinja) of a Python module for Numba.
-
-`kernel_codegen.generate_source` fills it in with
+It is a Jinja template of a Python module for Numba. `kernel_codegen.generate_source`
+fills it in with
 
 - `laws`: the laws of the effects as text (`law_source.LawSource`),
 - `integrator`: the time step (`integrators.Integrator`),
@@ -10,15 +9,15 @@ A template (Jinja) of a Python module for Numba.
 - `rows`: number of each row of a mass point, by name,
 - `lanes`: candidates side by side.
 
-README.md beside this file says the same in mathematics.
+README.md in this folder has the equations.
 
-Each pass goes along the string once. Offset `ahead` belongs to the segment that is
-measured, and to the point at its start; `point` = ahead - NEXT to the segment whose
-forces are then known, and to the point that then moves.
+Each pass goes along the string once. The offset `ahead` is that of the segment to
+measure and of the point at its start. `point` = ahead - NEXT is that of the segment
+whose forces are then known, and of the point to move.
 
-What is done in one lane is a function, typed and lowered once and inlined wherever it
-is called. Loops over lanes stand in `run` alone: a function with loops would be
-optimised by itself, and again where it is inlined.
+The work in one lane is a function, which Numba lowers once and inlines at each call.
+Only `run` has loops over lanes: a function with loops would be optimised by itself, and
+again where it is inlined.
 """
 
 STEP_LOOP = '''\
@@ -39,12 +38,12 @@ per_segment = {{ laws.per_segment }}
 
 {% endfor %}
 {% endmacro %}
-{# The memory is kept with the first pass of a step, of which the others are rehearsals. #}
+{# Only the first pass of a step stores the memory. #}
 {% macro unless_rehearsal(other) %}{% if stages > 1 %} if stage == 0 else {{ other }}{% endif %}{% endmacro %}
 {% macro memory_update(slot) %}
 {% if laws.effects_with(slot) %}
 change = curvature - rows[LAST_CURVATURE + ahead]
-lapse = dt{{ unless_rehearsal("dt * STAGE_TIMES[stage]") }}
+duration = dt{{ unless_rehearsal("dt * STAGE_TIMES[stage]") }}
 {% for effect in laws.effects_with(slot) %}
 {% set row = "rows[MEMORY" ~ loop.index0 ~ " + ahead]" %}
 memory_{{ loop.index0 }} = {{ laws.call(effect, slot, memory=row) }}
@@ -62,7 +61,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # nothing but this module calls what is inlined
+BARE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # only this module calls inlined functions
 LAW = {"error_model": "numpy", "fastmath": {"contract"}, "boundscheck": False, "forceinline": True, **BARE}
 STAGE_TIMES = {{ integrator.stage_times }}
 LANES = np.uintp({{ lanes }})
@@ -72,7 +71,7 @@ TWO = np.uintp(2)
 {% for name, number in rows.items() %}
 {{ name }} = np.uintp({{ number * lanes }})
 {% endfor %}
-NEXT = np.uintp({{ rows | length * lanes }})  # from a point to the next
+NEXT = np.uintp({{ rows | length * lanes }})  # distance from a point to the next
 # Coefficients of the hand's cubic in a tick, by power of the elapsed fraction.
 {% for quantity in ("X", "Y", "ANGLE") %}
 {% set first = loop.index0 * 4 %}
@@ -82,7 +81,7 @@ HAND_{{ quantity }}{{ power }} = np.uintp({{ (first + power) * lanes }})
 {% endfor %}
 
 
-# Laws of the effects, word for word.
+# Laws of the effects.
 {% for definition in laws.definitions() %}
 @njit(**LAW)
 {{ definition }}
@@ -106,7 +105,7 @@ def move_hand(rows, hand, lane, fraction, tick):
     rows[HAND_RATE + lane] = (a1 + fraction * (2.0 * a2 + 3.0 * fraction * a3)) / tick
 
 
-# Phase 2: the segment ahead. Its direction, its turn since the last pass, and its tension.
+# Phase 2: the segment ahead. Direction, turn since the last pass, and tension.
 @njit(**LAW)
 def measure_segment(rows, values, lane, ahead, per_segment, s_middle):
     {{ per_segment() | indent }}
@@ -134,7 +133,7 @@ def measure_segment(rows, values, lane, ahead, per_segment, s_middle):
     rows[TENSION + ahead] = {{ laws.sum_of_laws("tension") }}
 
 
-# Phase 3: the hinges. Moment of the hinge at the grasp, and of the one between two segments.
+# Phase 3: the hinges. Moment at the grasp, and between two segments.
 @njit(**LAW)
 def bend_grasp(rows, values, lane, ahead, dt, stage):
     {% set rest_angle = "rows[GRASP_REST_ANGLE + lane]" if laws.effects_with("rest_curvature") else "0.0" %}
@@ -155,7 +154,7 @@ def bend_hinge(rows, values, lane, ahead, per_segment, s_hinge, string_length, d
     {% if laws.effects_with("hinge_stiffness") %}
     hinge_stiffness = {{ laws.sum_of_laws("hinge_stiffness", curvature="curvature") }}
     {% if "hinge_stiffness" in integrator.averaged_slots %}
-    # What hardens is steeper than it is stiff, so the step averages the stiffness to which the hinge may bend in it.
+    # A hardening moment rises more steeply than moment / curvature, so the step averages a stiffness further along.
     {% set most = "abs(curvature) + " ~ max_bend_per_step %}
     steepest = max({{ laws.sum_of_laws("hinge_stiffness", curvature=most) }}, 0.0)
     rows[BENDING + ahead] = rows[LINEAR_BENDING + ahead] + (0.5 * dt * dt * steepest) * per_segment
@@ -165,7 +164,7 @@ def bend_hinge(rows, values, lane, ahead, per_segment, s_hinge, string_length, d
     rows[MOMENT + ahead] = {{ laws.sum_of_laws("moment") }}{{ stiff_moment }}{{ memory_moments("hinge_memory_moment") }}
 
 
-# Phase 4: the forces. What the segment behind pulls and pushes with, from its tension and the moments at its ends.
+# Phase 4: the forces of the segment behind, from its tension and the moments at its ends.
 @njit(**LAW)
 def force_of_segment(rows, point):
     shear = (rows[MOMENT + point + NEXT] - rows[MOMENT + point]) * rows[INVERSE_LENGTH + point]
@@ -176,7 +175,7 @@ def force_of_segment(rows, point):
     return fx, fy
 
 
-# Phase 5: the integrator. Acceleration of the point behind, by both its segments and by loads, and its move.
+# Phase 5: the integrator. Acceleration of the point behind by both its segments and by loads, and its new position.
 @njit(**LAW)
 def move_point(rows, values, lane, point, fx, fy, s_point, dt, t, stage):
     px = rows[X + point]
@@ -199,19 +198,19 @@ def move_point(rows, values, lane, point, fx, fy, s_point, dt, t, stage):
 
 @njit(**LAW)
 def record(rows, n, first, tick_number, out, alive):
-    # Positions at a tick of the candidates from the first on, as many as there are. A lane whose tip is no longer
-    # within a kilometre is given up. Returns whether any lane is left.
+    # Store the positions of the block's candidates at a tick. A lane whose tip is not within a kilometre is rejected.
+    # Returns whether any lane is left.
     for lane in range(LANES):
         if first + lane < np.uintp(out.shape[0]):
             for i in range(n):
                 out[first + lane, tick_number, i, 0] = rows[X + i * NEXT + lane]
                 out[first + lane, tick_number, i, 1] = rows[Y + i * NEXT + lane]
-    some = False
+    any_alive = False
     for lane in range(LANES):
         size = abs(rows[X + (n - ONE) * NEXT + lane]) + abs(rows[Y + (n - ONE) * NEXT + lane])
         alive[lane] = alive[lane] and size < 1e3
-        some |= alive[lane]
-    return some
+        any_alive |= alive[lane]
+    return any_alive
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"}, boundscheck=False, cache=True)
@@ -235,7 +234,7 @@ def run(first, last, buffers, values, hands, hands_per_block, points, length, st
                     t = start + (tick_number + fraction) * tick
                     for lane in range(LANES):
                         move_hand(rows, hand, lane, fraction, tick)
-                    # One pass: from the grasp to the tip, moving each point once both its segments are known.
+                    # One pass from the grasp to the tip. A point moves when both its segments are measured.
                     for lane in range(LANES):
                         measure_segment(rows, parameters, lane, lane, per_segment, 0.5 * length)
                         bend_grasp(rows, parameters, lane, lane, dt, stage)
@@ -255,7 +254,7 @@ def run(first, last, buffers, values, hands, hands_per_block, points, length, st
                             bend_hinge(rows, parameters, lane, ahead, per_segment, s_hinge, string_length, dt, stage)
                             fx, fy = force_of_segment(rows, point)
                             move_point(rows, parameters, lane, point, fx, fy, s_point, dt, t, stage)
-                    # The last two points: the tip has no hinge, whose moment stays 0, and no segment beyond it.
+                    # The last two points. The moment at the tip stays 0, and no segment lies beyond it.
                     for lane in range(LANES):
                         tip = (n - ONE) * NEXT + lane
                         point = tip - NEXT

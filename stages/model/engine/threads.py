@@ -1,9 +1,9 @@
 """Work in independent pieces, on as many threads as Numba is set to use.
 
-These are plain threads and no `prange`: Numba's pools share work out before it begins
-and wait for the slowest core, which on a busy machine took up to a hundred times what
-one thread takes. Here whoever is free begins a piece, the caller among them, and a
-thread that has not begun is not waited for.
+It uses plain threads instead of `prange`. Numba's pools divide the work in advance and
+wait for the slowest core, which on a busy machine took up to a hundred times as long as
+one thread. Here each free thread, including the caller, takes the next piece. A thread
+that has not begun is cancelled.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from typing import Any, TypeVar
 import numba
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
-# Decorates a kernel for threads: compiled once, it holds no lock of the interpreter.
+# Decorator of kernels for threads: cached, and without the interpreter's lock.
 compile_kernel: Callable[[FunctionT], FunctionT] = numba.njit(
     nogil=True, cache=True, error_model="numpy"
 )
 
-# With one piece each, on a busy machine, waiting for the other's costs what it saves.
+# With one piece each, waiting for a busy core costs as much as the thread saves.
 MIN_PIECES_PER_THREAD = 2
 
 
 def parallel_for(work: Callable[[int, int], None], count: int, piece: int = 1) -> None:
-    """Call `work(first, last)` for pieces of `count` things, on several threads.
+    """Call `work(first, last)` for pieces of `count` items, on several threads.
 
     Parameters
     ----------
     work : callable
-        Does the things from first to before last. It must not depend on who else does
-        what, and hold no lock of the interpreter.
+        Processes items first to last - 1. Pieces must be independent, and `work` must
+        release the interpreter's lock.
     count : int
-        Number of things.
+        Number of items.
     piece : int
-        Things in a piece. A piece is worth a thread from about a millisecond: one that
-        is taken off its core in the middle of a piece is waited for.
+        Items in a piece. A piece should take about a millisecond or more, because the
+        caller waits for an interrupted one.
     """
     threads = min(numba.get_num_threads(), count // piece // MIN_PIECES_PER_THREAD)
     if threads <= 1:
         work(0, count)
         return
-    starts = iter(range(0, count, piece))  # shared: it gives each start to one thread
+    starts = iter(range(0, count, piece))  # shared: each thread takes the next one
 
     def take_pieces() -> None:
         for first in starts:
@@ -60,5 +60,5 @@ def parallel_for(work: Callable[[int, int], None], count: int, piece: int = 1) -
 
 @cache
 def _thread_pool(process: int, threads: int) -> ThreadPoolExecutor:
-    """Return threads of this process: threads do not live on in its forks."""
+    """Return the pool of this process, because threads do not survive a fork."""
     return ThreadPoolExecutor(threads, f"string-{process}")

@@ -1,8 +1,8 @@
 """Statics of a string: forces and moments at rest, and their derivatives.
 
-A string is here the angles phi [rad] (continuous from the grasp) and lengths l [m] of
-its segments, (C, n - 1) each, and hangs from a pose (C, 3) of the grasp. Forces are
-over the nominal mass per length [m^2/s^2].
+The unknowns are the angles phi [rad] (unwrapped from the grasp) and lengths l [m] of
+the segments, (C, n - 1) each. The string hangs from a pose (C, 3) of the grasp. Forces
+are divided by the nominal mass per length [m^2/s^2].
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from stringcast.stages.model.string import String
 
 MAX_ITERATIONS = 200  # Newton steps
 MAX_TURN_RAD = 0.3  # of a segment in one iteration
-# [m3/s2] of what resists a turn, so that a string without stiffness can be turned
+# [m3/s2], so that the matrix of a string without stiffness is not singular
 MIN_TURN_STIFFNESS = 1e-9
-ANGLE_TOLERANCE_RAD = 1e-12  # change of an angle that ends the iteration
+ANGLE_TOLERANCE_RAD = 1e-12  # largest change of an angle at convergence
 
 ZERO = np.zeros((1, 1))
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Strings, and what of them stays the same while they turn and stretch.
+    """Strings and their properties that do not change during the iteration.
 
-    It is computed once, because that takes longer than an iteration.
+    They are computed once, because that takes longer than an iteration.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ class Chain:
     segment_length : ndarray of shape (C, 1)
         Rest length of a segment [m].
     arc_lengths : ndarray of shape (C, n)
-        Of the points from where the free string begins [m].
+        Arc lengths of the points along the free string [m].
     masses, cells : ndarray of shape (C, n)
         As `String.point_masses` [m].
     rest_curvature : ndarray of shape (C, n - 2)
-        Curvature at rest of the hinges [1/m].
+        Curvature of the hinges at rest [1/m].
     rest_grasp_angle : ndarray of shape (C, 1)
-        Angle at rest of the hinge at the grasp [rad].
+        Angle of the hinge at the grasp at rest [rad].
     """
 
     string: String
@@ -62,7 +62,7 @@ class Chain:
 
     @classmethod
     def from_material(cls, string: String, material: np.ndarray) -> Chain:
-        """Return the chains at rest of candidates' material (C, rows)."""
+        """Return the chains for candidates' material (C, rows)."""
         arc_lengths = string.free_arc_lengths(material)
         masses, cells = string.point_masses(material)
         return cls(
@@ -98,11 +98,11 @@ class Chain:
 def guess_angles(chain: Chain, theta: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Guess the angles of the segments, (C, n - 1) [rad].
 
-    The string turns from the grasp's direction to straight down, within the length on
-    which weight bends the rod.
+    The string turns from the grasp's direction to straight down, over the length on
+    which its weight bends a rod.
 
-    theta: (C,) direction of the grasp [rad]. turn: (C,) about how far the string turns
-    [rad], which decides between the two ways round.
+    theta: direction of the grasp, (C,) [rad]. turn: approximate turn of the string,
+    (C,) [rad], which selects one of the two directions.
     """
     string, material = chain.string, chain.material
     _, stiffness = slot_sum_and_slope(string, material, "moment", ZERO)
@@ -123,7 +123,7 @@ def guess_angles(chain: Chain, theta: np.ndarray, turn: np.ndarray) -> np.ndarra
 def forces_beyond_segments(
     chain: Chain, pose: np.ndarray, angles: np.ndarray, lengths: np.ndarray
 ) -> np.ndarray:
-    """Sum the forces beyond the start of each segment, (C, n - 1, 2) [m^2/s^2]."""
+    """Sum the forces on points beyond a segment's start, (C, n - 1, 2) [m^2/s^2]."""
     tangent, positions = tangents_and_positions(pose, angles, lengths)
     return sum_to_tip(static_point_forces(chain, positions, tangent))
 
@@ -133,7 +133,7 @@ def tangents_and_positions(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find segments' directions and free points' positions, (C, n - 1, 2) each.
 
-    pose: (C, 3) of the grasp. angles [rad], lengths [m]: (C, n - 1).
+    pose: pose of the grasp, (C, 3). angles [rad], lengths [m]: (C, n - 1).
     """
     tangent = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     from_grasp = np.cumsum(lengths[..., None] * tangent, axis=1)
@@ -157,7 +157,7 @@ def static_point_forces(
 
 
 def sum_to_tip(values: np.ndarray) -> np.ndarray:
-    """Sum values (C, n - 1, ...) over a point and all beyond it."""
+    """Sum values (C, n - 1, ...) from each point to the tip."""
     return np.cumsum(values[:, ::-1], axis=1)[:, ::-1]
 
 
@@ -166,7 +166,7 @@ def hinge_moments(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find moments at the hinges and their slope with the hinge angle, (C, n) each.
 
-    The free end has none.
+    Both are 0 at the free end.
     """
     string, material = chain.string, chain.material
     grasp, grasp_slope = slot_sum_and_slope(
@@ -186,9 +186,9 @@ def hinge_moments(
 
 
 def hinge_curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
-    """Find the curvatures of the hinges beyond those at rest, (C, n - 2) [1/m].
+    """Find the curvatures of the hinges minus those at rest, (C, n - 2) [1/m].
 
-    angles: (C, n - 1) of the segments [rad].
+    angles: angles of the segments, (C, n - 1) [rad].
     """
     turns = angles[:, 1:] - angles[:, :-1]
     curvatures: np.ndarray = turns / chain.segment_length - chain.rest_curvature
@@ -198,16 +198,17 @@ def hinge_curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
 def grasp_hinge_angle(
     chain: Chain, theta: np.ndarray, angles: np.ndarray
 ) -> np.ndarray:
-    """Find the angle of the hinge at the grasp beyond that at rest, (C, 1) [rad].
+    """Find the angle of the hinge at the grasp minus that at rest, (C, 1) [rad].
 
-    theta: (1 or C,) of the hand [rad]. angles: (C, n - 1) of the segments [rad].
+    theta: direction of the hand, (1 or C,) [rad]. angles: angles of the segments,
+    (C, n - 1) [rad].
     """
     hinge_angle: np.ndarray = angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
     return hinge_angle
 
 
 def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
-    """Find the angle at rest of the hinge at the grasp, (C, 1) [rad].
+    """Find the angle of the hinge at the grasp at rest, (C, 1) [rad].
 
     It comes from the hinge's share of the first segment's curvature.
     """
@@ -217,7 +218,7 @@ def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
 
 
 def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
-    """Find the length of string that is as compliant as the grasp, (C,) [m]."""
+    """Find the length of string with the grasp's compliance, (C,) [m]."""
     _, bending = slot_sum_and_slope(string, material, "moment", ZERO)
     _, grasp = slot_sum_and_slope(string, material, "grasp_moment", ZERO)
     ratio = bending / np.maximum(grasp, MIN_TURN_STIFFNESS)
@@ -240,11 +241,11 @@ def slot_sum_and_slope(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sum a slot's laws at rest, and find the slope with its first argument.
 
-    Both are (C, M). The laws are evaluated in one call: with so few numbers it is the
-    calls that take the time.
+    Both are (C, M). One call evaluates the laws, because calls take most of the time
+    with so few numbers.
 
-    values: (1 or C, M) of the slot's first argument, which is the stretch, curvature or
-    angle. others: further arguments, (1 or C, M) each.
+    values: the slot's first argument (stretch, curvature or angle), (1 or C, M).
+    others: further arguments, (1 or C, M) each.
     """
     (argument, _), _ = SAMPLED_ARGUMENTS[slot]
     step = 1e-3 if argument == "curvature" else 1e-5

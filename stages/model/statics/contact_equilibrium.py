@@ -1,14 +1,14 @@
-"""The string at rest where forces depend on the place: it touches something.
+"""Static equilibrium where forces depend on the place, as in contact.
 
-What is hard pushes back over a shorter way than a segment stretches, so angles phi and
-lengths l are sought together. With n_j, t_j a segment's normal and direction, F_j the
-force beyond it, T its tension,
+A hard contact yields less than a segment stretches, so angles phi and lengths l are
+solved for together. With n_j, t_j a segment's normal and tangent, F_j the force beyond
+it, T its tension,
 
     M_{j+1} - M_j + l_j n_j . F_j = 0,    t_j . F_j - T(l_j) = 0.
 
-Their left sides are minus the slopes of an energy, and a Newton step is taken as far as
-that falls: a string that goes back and forth between touching and not would do so for
-ever.
+The left sides are minus the gradient of an energy. A Newton step is limited to the part
+along which the energy falls. Otherwise a string could alternate between touching and
+not touching forever.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from stringcast.stages.model.statics.chain import (
 from stringcast.stages.model.string import String
 
 MAX_STEP_REDUCTIONS = 12
-# Of the energy's slope where the step begins: so steeply it may rise where it ends.
+# Largest slope of the energy at the end of a step, relative to that at its beginning.
 MAX_END_SLOPE_SHARE = 0.5
-# [m] over which the change of a force is taken: what is hard is hardly entered.
+# [m], small because a hard contact is entered only a little
 FORCE_DIFFERENCE_STEP_M = 1e-9
 DIFFERENCE_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 
@@ -45,7 +45,7 @@ DIFFERENCE_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
 def contact_shape(
     string: String, material: np.ndarray, pose: np.ndarray, turn: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find how strings rest that touch something or are pulled.
+    """Find the static equilibrium of strings in contact.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def contact_shape(
     Returns
     -------
     angles, lengths : ndarray of shape (C, n - 1)
-        Of the segments [rad], continuous from the grasp, and [m].
+        Angles of the segments, unwrapped from the grasp [rad], and lengths [m].
     """
     chain = Chain.from_material(string, material)
     angles = guess_angles(chain, pose[:, 2], turn)
@@ -72,8 +72,7 @@ def contact_shape(
         step = moving_strings.newton_step
         fraction = _step_fraction(moving_strings, step)
         strings = strings.with_step(moving, fraction[:, None] * step)
-        # Each candidate ends on its own, so that its shape does not depend on its
-        # company.
+        # Each candidate stops independently, so its shape does not depend on others.
         largest_turn = np.abs(step[:, : angles.shape[1]]).max(axis=1)
         moving = moving[largest_turn > ANGLE_TOLERANCE_RAD]
         if moving.size == 0:
@@ -84,11 +83,10 @@ def contact_shape(
 def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     """Choose how much of a step (C, 2 n - 2) to take, (C,).
 
-    It is as much as MAX_TURN_RAD allows. Where the energy then rises steeply, the place
-    is sought at which it is nearly flat, by the Illinois variant of false position
-    (Dowell and Jarratt 1971, BIT 11, 168): the fall at an end of the bracket that stays
-    is halved. The fraction is not much less than that place either, since only a string
-    that touches something feels it.
+    It is as much as MAX_TURN_RAD allows. If the energy rises steeply at the end of that
+    step, the Illinois variant of false position (Dowell and Jarratt 1971, BIT 11, 168)
+    finds where the energy is nearly flat: it halves the slope at an end of the bracket
+    that stays.
     """
     largest_turn = np.abs(step[:, : strings.angles.shape[1]]).max(axis=1)
     fraction: np.ndarray = np.minimum(
@@ -99,14 +97,14 @@ def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     flat = MAX_END_SLOPE_SHARE * fall_before
     searching = np.flatnonzero((fall_after < -flat) & (flat > 0))
 
-    bracket = np.stack([0 * fraction, fraction])  # (2, C): it falls, it rises
+    bracket = np.stack([0 * fraction, fraction])  # (2, C): energy falls, rises
     falls = np.stack([fall_before, fall_after])
     for _ in range(MAX_STEP_REDUCTIONS):
         if searching.size == 0:
             break
         low, high = bracket[:, searching]
         fall_low, fall_high = falls[:, searching]
-        # on an end it would stand still
+        # The limits keep it off the ends, where it would not move.
         share = np.clip(fall_low / (fall_low - fall_high), 0.02, 0.98)
         middle = low + (high - low) * share
         fall = _energy_fall_rate(
@@ -124,7 +122,7 @@ def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
 def _energy_fall_rate(
     strings: _RelaxingStrings, step: np.ndarray, fraction: np.ndarray
 ) -> np.ndarray:
-    """Find how steeply the energy falls along a step after a fraction of it, (C,)."""
+    """Find the negative slope of the energy along a step, at a fraction of it, (C,)."""
     moved = strings.with_step(np.arange(len(step)), fraction[:, None] * step)
     fall_rate: np.ndarray = np.sum(moved.residual * step, axis=1)
     return fall_rate
@@ -132,7 +130,7 @@ def _energy_fall_rate(
 
 @dataclass(frozen=True)
 class _RelaxingStrings:
-    """Strings that are on their way to rest.
+    """Iterate of the search for static equilibrium.
 
     pose: (C, 3). angles [rad], lengths [m]: (C, n - 1).
     """
@@ -162,17 +160,17 @@ class _RelaxingStrings:
 
     @cached_property
     def tangents_and_positions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Segments' directions and free points' positions, (C, n - 1, 2) each."""
+        """Tangents of segments and positions of free points, (C, n - 1, 2) each."""
         return tangents_and_positions(self.pose, self.angles, self.lengths)
 
     @property
     def tangent(self) -> np.ndarray:
-        """Directions of the segments, (C, n - 1, 2)."""
+        """Tangents of the segments, (C, n - 1, 2)."""
         return self.tangents_and_positions[0]
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """Directions across the segments, (C, n - 1, 2)."""
+        """Normals of the segments, (C, n - 1, 2)."""
         return turn_left(self.tangent)
 
     @cached_property
@@ -183,13 +181,13 @@ class _RelaxingStrings:
 
     @property
     def force_along(self) -> np.ndarray:
-        """Part of the force along the segment, (C, n - 1)."""
+        """Component of the force along the segment, (C, n - 1)."""
         along: np.ndarray = np.sum(self.force * self.tangent, axis=-1)
         return along
 
     @property
     def force_across(self) -> np.ndarray:
-        """Part of the force across the segment, (C, n - 1)."""
+        """Component of the force across the segment, (C, n - 1)."""
         across: np.ndarray = np.sum(self.force * self.normal, axis=-1)
         return across
 
@@ -217,10 +215,10 @@ class _RelaxingStrings:
 
     @property
     def newton_step(self) -> np.ndarray:
-        """Step towards rest, (C, 2 n - 2): turns [rad], then changes of length [m].
+        """Newton step, (C, 2 n - 2): turns [rad], then changes of length [m].
 
-        Where the matrix is not positive definite, forces that destabilise are left out
-        of it, so that a step never ends on a ridge of the energy.
+        If the matrix is not positive definite, destabilising forces are left out, so
+        that the step does not lead to a saddle point of the energy.
         """
         position_stiffness = self._position_stiffness()
         along = self.lengths * self.force_along
@@ -237,15 +235,15 @@ class _RelaxingStrings:
     def _local_matrix(self, along: np.ndarray, across: np.ndarray) -> np.ndarray:
         """Assemble the matrix of the balances without forces that depend on the place.
 
-        It is (C, 2 n - 2, 2 n - 2). along, across: parts of the forces that count,
-        (C, n - 1).
+        It is (C, 2 n - 2, 2 n - 2). along, across: components of the forces, (C, n -
+        1).
         """
         count = self.angles.shape[1]
         _, stiffness = self.moments
         matrix = np.zeros((len(self.angles), 2 * count, 2 * count))
         turns, stretches = np.arange(count), np.arange(count, 2 * count)
         matrix[:, turns, turns] = stiffness[:, :-1] + stiffness[:, 1:] + along
-        # A hinge turns with the segments on both of its sides, so neighbours couple.
+        # A hinge couples the segments on both sides.
         coupling = -stiffness[:, 1:-1]
         matrix[:, turns[1:], turns[:-1]] = coupling
         matrix[:, turns[:-1], turns[1:]] = coupling
@@ -255,12 +253,12 @@ class _RelaxingStrings:
         return matrix
 
     def _position_stiffness(self) -> np.ndarray:
-        """Find how the balances change because points change place.
+        """Find the derivative of the balances by forces that depend on the place.
 
         It is (C, 2 n - 2, 2 n - 2). Turning or stretching segment m moves all points
-        beyond it by l_m n_m or t_m. With K the change of a point's force with its
-        place, the balance of segment j changes by l_j n_j . (sum of K beyond both)
-        l_m n_m, and likewise for stretches.
+        beyond it by l_m n_m or t_m. With K the derivative of a point's force with
+        respect to its place, the balance of segment j changes by l_j n_j . (sum of K
+        beyond both) l_m n_m, and likewise for stretches.
         """
         tangent, positions = self.tangents_and_positions
         count, segments = self.angles.shape
@@ -273,7 +271,7 @@ class _RelaxingStrings:
         force_per_move = np.moveaxis(slope, 0, -1)  # K, (C, n - 1, 2, 2)
 
         number = np.arange(segments)
-        farther = np.maximum.outer(number, number)  # of two segments
+        farther = np.maximum.outer(number, number)  # the farther of two segments
         beyond_both = sum_to_tip(force_per_move)[:, farther]
         moves = (self.lengths[..., None] * self.normal, tangent)
         blocks = []

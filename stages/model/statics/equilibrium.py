@@ -1,20 +1,18 @@
-"""The string at rest: the static equilibrium it hangs in before the first motion.
+"""Static equilibrium of a hanging string, its state before the first motion.
 
 The unknowns are the angles phi_j of the segments. The part of the string beyond a
-segment pulls with a known force F, so each segment gives one equation, the balance of
+segment pulls with a known force F, so each segment has one equation, the balance of
 moments about its start,
 
     M_{j+1} - M_j + l_j (F_y cos phi_j - F_x sin phi_j) = 0,
 
-and its length l_j follows from its tension. Newton steps start from the shape of a
-heavy rod. The destabilising part of gravity is left out of the matrix until close to
-the solution: a string that leaves an upright hand then falls to a stable side rather
-than stand on its end.
+and its length l_j follows from its tension. Newton's method starts from the shape of a
+heavy rod. Far from the solution its matrix excludes the destabilising part of gravity,
+so that a string in an upright hand falls to a stable side.
 
-There are two loops. The outer one evaluates the laws and their tangents, in Python. The
-inner one solves the balance with these tangents, in compiled code. Laws that are linear
-need two or three rounds. Where forces depend on the place, because the string leans on
-something, see `contact_equilibrium`.
+The outer loop evaluates the laws and their slopes, in Python. The inner loop solves the
+balance for these linearised laws, in compiled code. Linear laws need two or three outer
+iterations. `contact_equilibrium` treats forces that depend on the place.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ from stringcast.stages.model.statics.chain import (
 from stringcast.stages.model.statics.contact_equilibrium import contact_shape
 from stringcast.stages.model.string import String
 
-NEAR_BALANCE_SHARE = 1e-3  # of the moment of the weight: residual of a near balance
+NEAR_BALANCE_SHARE = 1e-3  # residual near the solution, over the moment of the weight
 MIN_STRETCH = -0.9
 
 Shape = tuple[np.ndarray, np.ndarray]
@@ -49,10 +47,10 @@ def hanging_shape(
     pose: np.ndarray,
     turn: float | np.ndarray = 0.0,
 ) -> Shape:
-    """Find how strings hang at rest.
+    """Find the static equilibrium of hanging strings.
 
-    The shape is found first as if no force depended on place. Where the string then
-    touches something, or is pulled, it is found again by `contact_shape`.
+    First it is found without forces that depend on the place. If such a force acts
+    there, `contact_shape` finds it again.
 
     Parameters
     ----------
@@ -63,13 +61,13 @@ def hanging_shape(
     pose : ndarray of shape (1 or C, 3)
         Pose of the grasp [m], [m], [rad].
     turn : float or ndarray of shape (C,)
-        About how far the string turns from the hand to its end [rad]. From a hand that
-        points up it hangs down on one side or on the other; the nearer one is taken.
+        Approximate turn of the string from the hand to its end [rad]. It selects the
+        side on which the string hangs from a hand that points up.
 
     Returns
     -------
     angles, lengths : ndarray of shape (C, n - 1)
-        Of the segments [rad], continuous from the grasp, and [m].
+        Angles of the segments, unwrapped from the grasp [rad], and lengths [m].
     """
     pose = np.broadcast_to(pose, (len(material), 3))
     turn = np.broadcast_to(turn, len(material))
@@ -94,7 +92,7 @@ def hanging_shape(
 def _free_hanging_shape(
     string: String, material: np.ndarray, pose: np.ndarray, turn: np.ndarray
 ) -> Shape:
-    """Find angles and lengths as `hanging_shape` where no force depends on the place.
+    """Find the shape as `hanging_shape`, if no force depends on the place.
 
     pose: (C, 3). turn: (C,).
     """
@@ -123,8 +121,7 @@ def _free_hanging_shape(
         share[moving] = _damped_share(share[moving], step, last_step[moving])
         angles[moving] += share[moving] * step
         last_step[moving] = step
-        # Each candidate ends on its own, so that its shape does not depend on its
-        # company.
+        # Each candidate stops independently, so its shape does not depend on others.
         moving = moving[np.abs(step).max(axis=1) > ANGLE_TOLERANCE_RAD]
         if moving.size == 0:
             break
@@ -138,10 +135,10 @@ def _balancing_step(
     lengths: np.ndarray,
     force: np.ndarray,
 ) -> Shape:
-    """Find by how much angles turn for balance, and the lengths then, (C, n - 1) each.
+    """Find the turns to balance for linearised laws, and lengths, (C, n - 1) each.
 
-    The laws are taken along their tangents at these angles and lengths: evaluating them
-    takes longer than all else.
+    The laws are linearised at these angles and lengths, because their evaluation takes
+    most of the time.
     """
     stretch = lengths / chain.segment_length - 1
     tension = slot_sum_and_slope(chain.string, chain.material, "tension", stretch)
@@ -162,10 +159,10 @@ def _balancing_step(
 def _damped_share(
     share: np.ndarray, step: np.ndarray, last_step: np.ndarray
 ) -> np.ndarray:
-    """Return the share of a step to take, (C, 1), from that of the last step.
+    """Return the fraction of a step to take, (C, 1), from that of the last step.
 
-    It is halved where the step reverses most of the last, as from one side of a kink in
-    a law to the other: whole steps would do so for ever.
+    It is halved if the step reverses most of the last one. Otherwise steps could
+    alternate between both sides of a kink in a law forever.
     """
     largest = np.abs(step).max(axis=1, keepdims=True)
     last_largest = np.abs(last_step).max(axis=1, keepdims=True)
@@ -186,9 +183,9 @@ def _solve_balance(
 ) -> None:
     """Solve the balance of moments of each candidate by Newton's method.
 
-    tension_tangent: stretch, and tension and its slope there, (C, N) each.
-    hinge_tangent: moments and their slope with the hinge's angle, (C, N + 1) each.
-    turn: zeros, and lengths, (C, N) each, filled in place.
+    tension_tangent: stretch, tension and its slope, (C, N) each. hinge_tangent: moments
+    and their slope with the hinge's angle, (C, N + 1) each. turn (zeros at first) and
+    lengths, (C, N) each, are changed in place.
     """
     stretch, tension, tension_slope = tension_tangent
     count, size = angles.shape
@@ -203,7 +200,7 @@ def _solve_balance(
                 along = force[c, j, 0] * cos + force[c, j, 1] * sin
                 across = force[c, j, 1] * cos - force[c, j, 0] * sin
 
-                # Tension carries the pull.
+                # Tension balances the pull.
                 change = (along - tension[c, j]) / tension_slope[c, j]
                 balanced_stretch = max(stretch[c, j] + change, MIN_STRETCH)
                 length = segment_length[c] * (1 + balanced_stretch)
@@ -245,8 +242,8 @@ def _turn_segments(
 
         -k_j d_{j-1} + (k_j + k_{j+1} + p_j) d_j - k_{j+1} d_{j+1} = residual_j.
 
-    A pull that destabilises counts near the solution only. stiffness: k, (N + 1,).
-    residual: is overwritten. upper: room, (N,).
+    A destabilising pull is included only near the solution. stiffness: k, (N + 1,).
+    residual and upper, (N,) each, are overwritten.
     """
     last, largest, pivot = len(turn) - 1, 0.0, 1.0
     for j in range(last + 1):
@@ -269,10 +266,10 @@ def _turn_segments(
 def stretched_lengths(
     string: String, material: np.ndarray, pose: np.ndarray, angles: np.ndarray
 ) -> np.ndarray:
-    """Find the lengths of segments held at given angles that carry what hangs on them.
+    """Find the lengths of segments at given angles in static equilibrium.
 
-    (C, n - 1) [m]. material: (C, P). pose: (1 or C, 3) of the grasp. angles: (C, n - 1)
-    [rad].
+    They are (C, n - 1) [m]. material: (C, P). pose: pose of the grasp, (1 or C, 3).
+    angles: (C, n - 1) [rad].
     """
     chain = Chain.from_material(string, material)
     lengths = chain.rest_lengths
@@ -281,7 +278,7 @@ def stretched_lengths(
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
     for _ in range(4):
         stretch = lengths / chain.segment_length - 1
-        for _ in range(2):  # Newton steps to where tension balances the pull
+        for _ in range(2):  # Newton steps for tension = pull
             tension, rise = slot_sum_and_slope(string, material, "tension", stretch)
             stretch = np.maximum(stretch - (tension - along) / rise, MIN_STRETCH)
         lengths = chain.segment_length * (1 + stretch)
