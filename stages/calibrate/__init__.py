@@ -10,7 +10,7 @@ import pandas as pd
 from stringcast.data.calibration import Calibration
 from stringcast.stages.spec import SameIteration, StageSpec, StageSummary
 
-CAMERA = "camera.yaml"  # the camera that a calibration measured, for `camera_from=`
+CAMERA = "camera.yaml"  # the measured camera, for `camera_from=`
 
 
 def summary(calibration: Calibration) -> StageSummary:
@@ -37,7 +37,7 @@ def summary(calibration: Calibration) -> StageSummary:
 
 
 def files(calibration: Calibration, folder: Path) -> Mapping[str, str]:
-    """Return the camera as settings, if it can be used."""
+    """Return the camera's settings, if the calibration is accepted."""
     if calibration.reason:
         return {}
     return {CAMERA: str(calibration.outcome["camera"].iloc[0])}

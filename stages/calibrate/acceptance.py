@@ -35,9 +35,9 @@ class CalibrationSolution:
     used_views
         The V usable views of the tilted board.
     lens
-        The lens that fits them all.
+        The lens fitted to all these views.
     held_out_rms
-        RMS of each view with a lens from others (V,) [px].
+        RMS of each view with a lens fitted to others (V,) [px].
     plane_view, plane
         The view in the plane of motion, and its fit.
     size
@@ -69,26 +69,26 @@ class CalibrationSolution:
 
     @property
     def errors(self) -> np.ndarray:
-        """RMS of each view (V,) [px]."""
+        """RMS errors of the views (V,) [px]."""
         return np.array([distance_rms(errors) for errors in self.lens.errors])
 
     @property
     def plane_rms(self) -> float:
-        """RMS in the plane of motion [px]."""
+        """RMS error in the plane of motion [px]."""
         return distance_rms(self.plane_view.pixels - self.plane.fit)
 
 
 def rejection_reason(
     solution: CalibrationSolution, thresholds: CalibrationThresholds
 ) -> str:
-    """Return why a calibration cannot be used; the first fault explains later ones.
+    """Return the first fault of a calibration, which may cause the later ones.
 
     Parameters
     ----------
     solution
         The results.
     thresholds
-        Their limits.
+        Limits of the results.
 
     Returns
     -------
@@ -107,21 +107,21 @@ def _view_fault(
         return (
             f"{len(views)} views can be used, {thresholds.views} are needed. Take more."
         )
-    # comparisons are negated so that NaN is refused, too
+    # Comparisons are negated so that NaN is refused.
     if not solution.spread >= thresholds.spread:
         spread, needed = np.degrees([solution.spread, thresholds.spread])
         return (
             f"the views differ in tilt by {spread:.0f} degrees at most, {needed:.0f} "
-            "are needed to tell focal length from distance. Tilt the board to the "
-            "left, right, front and back."
+            "are needed to distinguish focal length from distance. Tilt the board to "
+            "the left, right, front and back."
         )
     errors = solution.held_out_rms
-    worst, usual = int(np.argmax(errors)), float(np.median(errors))
-    if not errors[worst] <= max(thresholds.astray * usual, thresholds.rms):
+    worst, median = int(np.argmax(errors)), float(np.median(errors))
+    if not errors[worst] <= max(thresholds.astray * median, thresholds.rms):
         return (
             f"view {views[worst].number} does not fit the others: {errors[worst]:.2f} "
-            f"px, usual are {usual:.2f}. Leave it out, or take it again with board and "
-            "camera still."
+            f"px, the median is {median:.2f}. Leave it out, or take it again with "
+            "board and camera still."
         )
     return ""
 
@@ -133,8 +133,8 @@ def _lens_fault(
     if not solution.lens.rms <= thresholds.rms:
         return (
             f"the reprojection error is {solution.lens.rms:.2f} px, allowed are "
-            f"{thresholds.rms:g}. See that the board is the one of the settings, flat, "
-            "sharp and still, and that focus and zoom do not change."
+            f"{thresholds.rms:g}. Use the board of the settings, flat, sharp and "
+            "still, and do not change focus and zoom."
         )
     cells, half = solution.covered_cells, GRID_CELLS // 2
     if not cells.mean() >= thresholds.coverage:
@@ -143,7 +143,7 @@ def _lens_fault(
         return (
             f"corners were seen in {cells.mean():.0%} of the picture, "
             f"{thresholds.coverage:.0%} are needed, and fewest in its {emptiest} half: "
-            "the lens is not known there. Bring the board there too."
+            "the lens is not known there. Take views of the board there too."
         )
     if not solution.plane_rms <= thresholds.rms:
         return (

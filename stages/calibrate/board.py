@@ -1,4 +1,4 @@
-"""The ChArUco board: a chessboard with markers, so that every corner has a name."""
+"""The ChArUco board: a chessboard with markers that identify every corner."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Board:
     squares
         Columns and rows.
     square, marker
-        Their sides [m].
+        Sides of squares and markers [m].
     dictionary
-        OpenCV's name of the set of markers.
+        OpenCV's name of the marker dictionary.
 
     References
     ----------
@@ -72,7 +72,7 @@ class Board:
 
     @property
     def pattern(self) -> Any:
-        """The pattern as OpenCV's class."""
+        """OpenCV's object for the pattern."""
         return cv2.aruco.CharucoBoard(
             self.squares, self.square, self.marker, self._markers
         )
@@ -94,7 +94,7 @@ class Board:
 
     @property
     def marker_corners(self) -> np.ndarray:
-        """Corners of each marker (M, 4, 2) [m], x and y as of `points`."""
+        """Corners of each marker (M, 4, 2) [m], in the axes of `points`."""
         return np.array(self.pattern.getObjPoints(), dtype=float)[..., :2]
 
     def image(self, px_per_square: int) -> np.ndarray:

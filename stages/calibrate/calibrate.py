@@ -26,7 +26,7 @@ from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
 
-MIN_SOLVABLE_VIEWS = 4  # with fewer, nothing can be computed
+MIN_SOLVABLE_VIEWS = 4  # the fit needs so many
 FOLDS = 4  # of the cross-validation of the lens
 
 
@@ -80,30 +80,30 @@ def calibrate(
         Pictures of the board tilted in all directions, uint8 (height, width) or
         (height, width, 3).
     flat
-        The same of the board in the plane of motion. The one with most corners is used.
+        Pictures of the board in the plane of motion. The one with most corners is used.
     board
         The board.
     camera
-        The camera, whose rate and exposure are kept.
+        The camera. Its rate and exposure are kept.
     place
         Place of the board in the plane of motion.
     views
         Smallest number of usable views.
     spread
-        Smallest angle between any two of them [rad].
+        Required largest angle between two views [rad].
     coverage
         Smallest share of the picture in which corners were seen.
     rms
         Largest reprojection error [px].
     astray
-        Largest error of a view relative to the usual one.
+        Largest error of a view relative to the median.
     progress
-        Reports the share that is done.
+        Called with the share done.
 
     Returns
     -------
     Calibration
-        The camera. If it violates one of these limits, the reason says so.
+        The camera, or the violated limit.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def calibrate(
     all_views = []
     for number, picture in enumerate(pictures):
         all_views.append(detect_board(number, picture, board))
-        # detection takes most of the time
+        # Detection takes most of the time.
         progress(0.9 * (number + 1) / len(pictures))
     used_views = _readable_views(all_views)
     plane_view = _plane_view(flat, board)
@@ -142,15 +142,15 @@ def calibrate(
 
 
 def _readable_views(views: Sequence[BoardView]) -> list[BoardView]:
-    """Return the views in which the board can be read; refuse too few."""
+    """Return the views with a readable board; refuse too few."""
     readable = [view for view in views if not view.reason]
     if len(readable) < MIN_SOLVABLE_VIEWS:
         reasons = Counter(view.reason for view in views if view.reason)
         reason = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
         raise DataError(
             f"the board can be read in {len(readable)} of {len(views)} pictures"
-            f"{reason}. Take ten and more of the board in the settings (board=...), "
-            "sharp, lit evenly, tilted in all directions and all over the picture."
+            f"{reason}. Take at least ten of the board in the settings (board=...): "
+            "sharp, lit evenly, tilted in all directions, in all parts of the picture."
         )
     return readable
 
@@ -159,7 +159,7 @@ def _plane_view(flat: Sequence[np.ndarray], board: Board) -> BoardView:
     """Return the view in the plane of motion with most corners."""
     if not len(flat):
         raise DataError(
-            "the board in the plane of motion: there is no picture of it. Take one."
+            "there is no picture of the board in the plane of motion. Take one."
         )
     views = [detect_board(number, image, board) for number, image in enumerate(flat)]
     best = max(views, key=lambda view: len(view.corners))

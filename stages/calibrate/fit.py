@@ -34,11 +34,11 @@ class LensFit:
     lens
         The lens.
     poses
-        Rotation vector (3,) [rad] and place (3,) [m] of the board in each view.
+        Rotation vector (3,) [rad] and position (3,) [m] of the board in each view.
     covariance
         Covariance of LENS_PARAMETERS (8, 8).
     errors
-        Measured less projected corners of each view (N, 2) [px].
+        Measured minus projected corners of each view (N, 2) [px].
     """
 
     lens: Lens
@@ -65,11 +65,10 @@ def distance_rms(errors: np.ndarray) -> float:
 def fit_lens(
     views: Sequence[BoardView], board: Board, size: tuple[int, int]
 ) -> LensFit:
-    """Fit the lens to all views, of pictures of a size (width, height) [px]."""
+    """Fit the lens to all views. size: width and height of the pictures [px]."""
     points = [_board_points(board, view) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
-    # a third radial coefficient is seldom determined, and bends the edge where
-    # nothing was seen
+    # A third radial coefficient is seldom determined, and distorts edges without data.
     with _one_opencv_thread():
         _, matrix, distortion, rotations, places = cv2.calibrateCamera(
             points, pixels, size, None, None, flags=cv2.CALIB_FIX_K3
@@ -87,7 +86,7 @@ def fit_lens(
 
 @contextmanager
 def _one_opencv_thread() -> Iterator[None]:
-    """Let OpenCV add by one thread: the order of several changes the last digits."""
+    """Let OpenCV use one thread: the order of several changes the last digits."""
     count = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -99,14 +98,14 @@ def _one_opencv_thread() -> Iterator[None]:
 def _lens_covariance(
     lens: Lens, points: Sequence[np.ndarray], poses: Sequence[Pose], errors: np.ndarray
 ) -> np.ndarray:
-    """Return the covariance of LENS_PARAMETERS, (8, 8), where no pose is known.
+    """Return the covariance of LENS_PARAMETERS, (8, 8), with unknown poses.
 
-    With the derivatives A of a view's corners by its pose and B by the lens, the view
-    informs of the lens by what of B no pose explains:
+    A and B are the Jacobians of a view's corners by its pose and by the lens. The part
+    of B that no pose explains informs about the lens:
 
         R = B - A A^+ B,    covariance = s^2 (sum of R^T R over the views)^-1.
 
-    s^2 is the mean square of the errors (N, 2) [px] for each degree of freedom. points:
+    s^2 is the sum of squared errors (N, 2) [px] over the degrees of freedom. points:
     corners on the board (K, 3) [m] of each view.
     """
     information = np.zeros((LENS_PARAMETER_COUNT, LENS_PARAMETER_COUNT))
@@ -137,7 +136,7 @@ def lens_from_values(values: Iterable[float]) -> Lens:
 def held_out_rms(
     views: Sequence[BoardView], board: Board, size: tuple[int, int], folds: int
 ) -> np.ndarray:
-    """Cross-validate the lens: fit only the pose of a view with the lens of others.
+    """Cross-validate the lens: fit only the pose of a view, with a lens from others.
 
     Parameters
     ----------
@@ -167,7 +166,7 @@ def held_out_rms(
 
 
 def board_pose(lens: Lens, board: Board, view: BoardView) -> Pose:
-    """Return rotation vector (3,) [rad] and place (3,) [m] of the board in a view."""
+    """Return rotation vector (3,) [rad] and position (3,) [m] of a view's board."""
     points = _board_points(board, view)
     distortion = np.array(lens.distortion)
     known = (points, view.pixels, lens.matrix, distortion)

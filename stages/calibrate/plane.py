@@ -31,7 +31,7 @@ class BoardPlacement:
     Attributes
     ----------
     corner
-        Its lower left corner [m].
+        Lower left corner of the pattern [m].
     turn
         Angle of its lower edge to the world's x, counter-clockwise [rad].
     """
@@ -56,7 +56,7 @@ class PlaneFit:
         The camera.
     sigma
         Standard deviations of scale, origin (u, v), rotation and tilt about x and y
-        (6,), with that of the lens.
+        (6,), including the uncertainty of the lens.
     fit
         Projected corners (N, 2) [px].
     """
@@ -78,16 +78,16 @@ def fit_plane(
     board
         The board.
     place
-        Where the board was.
+        Placement of the board.
     lens
         The fitted lens.
     camera
-        Its size, rate and exposure are kept.
+        The camera. Its size, rate and exposure are kept.
 
     Returns
     -------
     PlaneFit
-        The camera with errors.
+        The camera with standard deviations.
     """
     world = place.to_world(board.corners[view.corners])
     plain = replace(camera, distortion=0.0, lens=lens.lens)
@@ -98,7 +98,7 @@ def fit_plane(
     count = view.pixels.size
     inverse = np.linalg.inv(jacobian.T @ jacobian)
     covariance = inverse * error**2 / 2 * count / (count - len(values))
-    # uncertainty of the lens
+    # Uncertainty of the lens.
     for step in np.linalg.cholesky(lens.covariance).T:
         other = replace(plain, lens=lens_from_values(lens_values(lens.lens) + step))
         change = _solve_plane(other, world, view.pixels, values)[0] - values
@@ -109,14 +109,14 @@ def fit_plane(
 def _plane_from_pose(
     view: BoardView, board: Board, place: BoardPlacement, lens: Lens
 ) -> np.ndarray:
-    """Return the values of the plane (6,) by OpenCV's pose of the board.
+    """Return the values of the plane (6,) from OpenCV's pose of the board.
 
-    The board's y points down there, and its z into it.
+    OpenCV's y points down on the board, and its z into it.
     """
     vector, board_place = board_pose(lens, board, view)
     board_axes = cv2.Rodrigues(vector)[0]
     turn = Rotation.from_euler("z", -place.turn).as_matrix()
-    axes = board_axes @ CAMERA_AXES @ turn  # of the world in the camera's frame
+    axes = board_axes @ CAMERA_AXES @ turn  # world axes in the camera's frame
     lower_left = board_place + board_axes @ np.array([0, board.size[1], 0])
     origin = lower_left - axes @ np.array([*place.corner, 0.0])
     tilt_x, tilt_y, roll = Rotation.from_matrix(axes @ CAMERA_AXES).as_euler("XYZ")
@@ -128,7 +128,7 @@ def _plane_from_pose(
 def _solve_plane(
     camera: Camera, world: np.ndarray, pixels: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values of a plane (6,) and the pixels' Jacobian by them (2 N, 6)."""
+    """Return the values of a plane (6,) and the Jacobian of the pixels (2 N, 6)."""
 
     def residuals(values: np.ndarray) -> np.ndarray:
         residuals: np.ndarray = (_camera(camera, values).pixels(world) - pixels).ravel()

@@ -112,7 +112,7 @@ def camera_settings(camera: Camera) -> str:
 def _view_rows(
     solution: CalibrationSolution, views: Sequence[BoardView]
 ) -> pd.DataFrame:
-    """Return a row for every view, that in the plane of motion last."""
+    """Return a row for every view; that in the plane of motion is last."""
     lens, camera = solution.lens, solution.plane.camera
     tilts = np.arccos(np.clip(np.abs(lens.normals[:, 2]), 0, 1))
     columns = {
@@ -158,7 +158,7 @@ def _corner_rows(view: BoardView, fit: np.ndarray, plane: bool) -> pd.DataFrame:
 
 
 def _plain_values(value: object) -> object:
-    """Replace tuples and NumPy's numbers, which YAML does not know."""
+    """Convert tuples and NumPy's numbers to types of YAML."""
     if isinstance(value, dict):
         return {name: _plain_values(inside) for name, inside in value.items()}
     if isinstance(value, list | tuple):

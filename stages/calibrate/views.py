@@ -12,9 +12,9 @@ from stringcast.stages.common import rms
 
 cv2 = LazyModule("cv2")
 
-MIN_CORNERS = 8  # twice as many as a board's place needs
-CORNER_TOLERANCE_PX = 1e-3  # of the last step towards a corner
-MAX_MARKER_MISFIT = 0.25  # rms from a board without distortion, in marker sides
+MIN_CORNERS = 8  # twice the minimum for a pose
+CORNER_TOLERANCE_PX = 1e-3  # convergence of a corner
+MAX_MARKER_MISFIT = 0.25  # RMS from an undistorted board, in marker sides
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def detect_board(number: int, image: np.ndarray, board: Board) -> BoardView:
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     parameters = cv2.aruco.DetectorParameters()
-    # by itself, OpenCV stops a tenth of a pixel from the corner
+    # OpenCV's default stops a tenth of a pixel from the corner.
     parameters.cornerRefinementMinAccuracy = CORNER_TOLERANCE_PX
     detector = cv2.aruco.CharucoDetector(
         board.pattern, cv2.aruco.CharucoParameters(), parameters
@@ -78,11 +78,11 @@ def detect_board(number: int, image: np.ndarray, board: Board) -> BoardView:
 
 
 def _corner_fault(board: Board, numbers: np.ndarray) -> str:
-    """Return why corners do not fix the board's place; empty if they do."""
+    """Return why corners do not determine the board's pose; empty if they do."""
     count = len(numbers)
     if count < MIN_CORNERS:
         return f"{count} corners are seen, {MIN_CORNERS} are needed"
-    # four corners, no three of them on a line, fix the place
+    # Four corners, no three of them on a line, determine the pose.
     for line in np.divmod(numbers, board.squares[0] - 1):  # rows, columns
         if count - np.bincount(line).max() < 2:
             return f"the {count} corners that are seen are on one line"
@@ -90,7 +90,7 @@ def _corner_fault(board: Board, numbers: np.ndarray) -> str:
 
 
 def _board_mismatch(board: Board, markers: np.ndarray, ids: np.ndarray) -> str:
-    """Return why markers (M, 4, 2) [px] are of another board; empty if they are not."""
+    """Return why markers (M, 4, 2) [px] are of another board, or an empty string."""
     if ids.max() >= board.markers:
         return (
             f"marker {ids.max()} is seen, the board of the settings has 0 to "

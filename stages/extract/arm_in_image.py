@@ -1,10 +1,10 @@
-"""The place of the arm in the frames, where it is not where its joints say.
+"""Position of the arm in the frames, if its reported joint angles are wrong.
 
-A joint that turns more than it reports, a camera that was moved or a clock that is off
-puts the arm elsewhere in the picture: by more than its width, and frames are refused
-because the arm itself is taken for string. What is bright and as wide as a link is the
-arm. The links are fitted to it by least squares (iterative closest point, ICP): each
-joint may have an offset, a gain and a lag over the whole film, and the base a shift.
+Wrong joint angles, a moved camera or a wrong clock displace the arm in the picture. If
+the displacement exceeds the arm's width, the arm itself is taken for string, and frames
+are refused. Here the links are fitted to bright pixels of regions as wide as a link, by
+least squares (iterative closest point, ICP). Over the whole film each joint may have an
+offset, a gain and a lag, and the base a shift.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from stringcast.stages.model.polyline import turn_left
 
 cv2 = LazyModule("cv2")
 
-SAMPLE_FRAMES = 40  # to which the links are fitted
-OPENING_SHARE = 0.6  # of a link's width: narrower bright things are string
-MIN_CONTRAST_SIGMAS = 10.0  # of the noise, by which the arm outshines the wall
-MAX_PIXELS = 300  # of the arm in a frame to which the links are fitted
-MIN_PIXELS = 2000  # of the arm in all frames: fewer show no arm
-# largest distance of a pixel from the links, in link widths: as the fit goes on
+SAMPLE_FRAMES = 40  # for the fit of the links
+OPENING_SHARE = 0.6  # of a link's width: narrower bright regions are string
+MIN_CONTRAST_SIGMAS = 10.0  # of the arm to the wall, in noise
+MAX_PIXELS = 300  # of the arm in one frame
+MIN_PIXELS = 2000  # of the arm in all frames; with fewer it is not visible
+# Largest distance of a pixel from the links, in link widths, for each iteration.
 CUTOFFS_WIDTHS = (8.0, 8.0, 4.0, 4.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0)
-# prior standard deviation of each parameter of the fit
+# Prior standard deviations of the parameters.
 OFFSET_SIGMA_RAD = 0.1
 GAIN_SIGMA = 0.1
 LAG_SIGMA_S = 0.01
 BASE_SIGMA_M = 0.02
-OUTLINE_MARGIN_PX = 2.0  # within which a pixel counts as the arm's
-MAX_MISSED_SHARE = 0.1  # of the arm's pixels, by the links where they are fitted
-MIN_MISSED_SHARE = 0.02  # where the joints say: with less, the joints are right
-MAX_MISSED_RATIO = 0.5  # of those pixels that the links miss where the joints say
-MIN_HAND_SHIFT_PX = 2.0  # less is within what the arm's outline allows
+OUTLINE_MARGIN_PX = 2.0  # tolerance of a pixel outside the links
+MAX_MISSED_SHARE = 0.1  # of the arm's pixels, outside the fitted links
+MIN_MISSED_SHARE = 0.02  # outside the reported links; below it these are right
+MAX_MISSED_RATIO = 0.5  # of pixels outside the fitted links to outside the reported
+MIN_HAND_SHIFT_PX = 2.0  # a smaller shift is within the error of the outline
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class ArmFit:
 
     Parameters
     ----------
-    body : (F, J + 1, 2) joints as they are seen [m]
-    hand_shift : (F,) distance of the hand from where its joints put it [m]
+    body : (F, J + 1, 2) fitted joints [m]
+    hand_shift : (F,) distance of the hand from its reported position [m]
     joint_error : (F,) largest difference of a joint's angle from the reported [rad]
     """
 
@@ -60,10 +60,10 @@ class ArmFit:
 
 @dataclass(frozen=True)
 class ReportedArm:
-    """The arm as its joints report it, and how it moves with the parameters of the fit.
+    """The reported arm, and its slopes with the parameters of the fit.
 
     The parameters (3 J + 2,) are offset [rad], gain [1] and lag [s] of each joint, then
-    the shift of the base in x and y [m]. At zero the arm is where its joints say.
+    the shift of the base in x and y [m]. At zero the arm is as reported.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class ReportedArm:
 
     @classmethod
     def build(cls, t: np.ndarray, body: np.ndarray) -> ReportedArm:
-        """Build it from joints (F, J + 1, 2) [m] at times (F,) [s]."""
+        """Build the arm from joints (F, J + 1, 2) [m] at times (F,) [s]."""
         links = np.diff(body, axis=1)
         directions = np.unwrap(np.arctan2(links[..., 1], links[..., 0]), axis=0)
         angles = np.diff(directions, axis=1, prepend=0)
@@ -92,13 +92,13 @@ class ReportedArm:
         return np.array([*np.tile(of_joint, joints), BASE_SIGMA_M, BASE_SIGMA_M])
 
     def angle_errors(self, parameters: np.ndarray) -> np.ndarray:
-        """Compute by how much the joints turn more than reported, (F, J) [rad]."""
+        """Compute actual minus reported joint angles, (F, J) [rad]."""
         by_joint = parameters[:-2].reshape(-1, 3)
         return np.asarray(np.einsum("fjk,jk->fj", self.angle_slopes, by_joint))
 
     def joint_positions(self, parameters: np.ndarray) -> np.ndarray:
-        """Compute where the joints are with these parameters, (F, J + 1, 2) [m]."""
-        # a joint turns all links beyond it
+        """Compute the positions of the joints, (F, J + 1, 2) [m]."""
+        # A joint turns all links beyond it.
         angle = np.cumsum(self.angle_errors(parameters), axis=1)[..., None]
         links = np.diff(self.body, axis=1)
         turned = np.cos(angle) * links + np.sin(angle) * turn_left(links)
@@ -114,7 +114,7 @@ def fit_arm(
     Parameters
     ----------
     footage : Footage
-        Stabilised frames, with the arm where its joints say.
+        Stabilised frames, with the reported arm.
     camera : Camera
         Its geometry.
     uncovered : (height, width) array
@@ -125,7 +125,7 @@ def fit_arm(
     Returns
     -------
     ArmFit or None
-        None if the arm is where its joints say, or if it is not seen clearly.
+        None if the reported arm is right, or if the arm is not clearly visible.
     """
     if footage.body is None or width_px < 1:
         return None
@@ -157,10 +157,11 @@ def fit_arm(
 def _fit_parameters(
     arm: ReportedArm, frame: np.ndarray, place: np.ndarray, width_m: float
 ) -> np.ndarray:
-    """Fit the parameters of an arm (3 J + 2,) to places (N, 2) of its pixels [m].
+    """Fit the parameters of an arm (3 J + 2,) to its pixels, (N, 2) [m].
 
-    It takes Gauss-Newton steps with the prior of the parameters. Distances are in link
-    widths. Places beyond a cutoff, which shrinks, are something else than the arm.
+    It takes Gauss-Newton steps with a prior on the parameters. Distances are in link
+    widths. Pixels beyond a decreasing cutoff are ignored, because they are not of the
+    arm.
     """
     precision = np.diag(arm.prior_sigmas**-2.0)
     parameters = np.zeros(len(precision))
@@ -178,7 +179,7 @@ def _fit_parameters(
 def bright_wide_pixels(
     images: Sequence[np.ndarray], uncovered: np.ndarray, width_px: float
 ) -> dict[int, np.ndarray]:
-    """Find pixels (N, 2) of bright things as wide as a link, of a sample of frames."""
+    """Find pixels (N, 2) of bright regions as wide as a link, by frame number."""
     size = max(round(OPENING_SHARE * width_px), 2)
     link = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     pixels = {}
@@ -200,7 +201,7 @@ def _share_beyond(
     frame: np.ndarray,
     place: np.ndarray,
 ) -> float:
-    """Compute the share of places (N, 2) farther from the links than `reach` [m]."""
+    """Compute the share of pixels (N, 2) farther from the links than `reach` [m]."""
     distance, _ = _link_distances(arm, parameters, frame, place)
     return float(np.mean(np.abs(distance) > reach))
 
@@ -208,32 +209,32 @@ def _share_beyond(
 def _link_distances(
     arm: ReportedArm, parameters: np.ndarray, frame: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute signed distances of places from the nearest link, and their slopes.
+    """Compute signed distances of pixels from the nearest link, and their Jacobian.
 
     Parameters
     ----------
     arm : ReportedArm
     parameters : numpy.ndarray, shape (P,)
-        Of the arm.
+        Parameters of the arm.
     frame : numpy.ndarray, shape (N,)
-        Number of the frame of each place.
+        Number of the frame of each pixel.
     place : numpy.ndarray, shape (N, 2)
-        Places [m].
+        Pixels in the plane [m].
 
     Returns
     -------
     distance : numpy.ndarray, shape (N,)
-        Across the link, and positive beyond its ends [m].
+        Distance across the link; positive beyond its ends [m].
     jacobian : numpy.ndarray, shape (N, P)
-        Slopes of the distances with the parameters.
+        Derivatives of the distances with respect to the parameters.
     """
     body = arm.joint_positions(parameters)[frame]  # (N, J + 1, 2)
     nearest, foot, normal = _nearest_feet(body, place)
     distance = np.sum(normal * (place - foot), axis=-1)
 
-    # A joint turns what lies beyond it; the base moves everything
+    # A joint turns all links beyond it; the base moves all.
     joints = arm.angle_slopes.shape[1]
-    turning = np.zeros((len(place), joints))  # slope of a distance by an angle
+    turning = np.zeros((len(place), joints))  # derivative of a distance by an angle
     for joint in range(joints):
         lever = turn_left(foot - body[:, joint])
         slope = np.where(nearest >= joint, np.sum(normal * lever, axis=-1), 0.0)
@@ -246,22 +247,23 @@ def _link_distances(
 def _nearest_feet(
     body: np.ndarray, place: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the nearest point of the links to each place.
+    """Find the nearest point of the links to each pixel.
 
     Parameters
     ----------
     body : numpy.ndarray, shape (N, J + 1, 2)
-        Joints at each place's frame [m].
+        Joints in each pixel's frame [m].
     place : numpy.ndarray, shape (N, 2)
+        Pixels in the plane [m].
 
     Returns
     -------
     nearest : numpy.ndarray, shape (N,)
         Number of the link.
     foot : numpy.ndarray, shape (N, 2)
-        The point on it.
+        Nearest point on the link [m].
     normal : numpy.ndarray, shape (N, 2)
-        Unit vector across the link, or from its end to the place.
+        Unit vector across the link, or from its end to the pixel.
     """
     start = body[:, :-1]
     link = np.diff(body, axis=1)

@@ -1,9 +1,9 @@
 """Centre-line: the ordered line from the grasp to the tip, to a fraction of a pixel.
 
-The string's pixels are a graph. Depth is the cost of the cheapest path from the grasp;
-faint pixels cost more, so that paths follow the string's ridge. The tip is the deepest
-pixel and the path to it is the centre-line (the search from the grasp of IV-B). Each
-point is then moved to the centroid of brightness across the line.
+The string's pixels are a graph. The depth of a pixel is the cost of the cheapest path
+from the grasp. Faint pixels cost more, so paths follow the ridge of brightness. The tip
+is the deepest pixel, and the path to it is the centre-line (the search from the grasp
+in IV-B). Each point is then moved to the centroid of brightness across the line.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from stringcast.stages.model.polyline import (
 
 cv2 = LazyModule("cv2")
 
-# steps (d_v, d_u) to half of a pixel's neighbours; the others are their opposites
+# Steps (d_v, d_u) to half of a pixel's neighbours; the other half is opposite.
 NEIGHBOUR_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))
-MAX_GAP_PX = 7  # across which a broken string is joined
+MAX_GAP_PX = 7  # a wider gap in the string is not bridged
 FAINT_PENALTY = 3.0  # extra cost of the faintest pixel, in costs of the brightest
-# cost of a pixel outside the mask: a gap is bridged, a loop is not cut short
+# Cost of a pixel outside the mask, low enough for gaps, too high to cut off a loop.
 UNSEEN_PENALTY = 20.0
-# before the tip: length over which the string's light is compared with that beyond it
+# Length before the tip whose light is compared with that beyond the tip.
 END_MARGIN_PX = 10.0
-# into an outline: distance over which a line is extended rather than read
+# Distance over which a line is extended into the arm's outline, without reading it.
 EXTENSION_PX = 5.0
-END_SHAPE_SIGMA_PX = 0.05  # of the end of the light: of drawn lines 0.03 to 0.05
-MIN_PROFILE_REACH_PX = 4.0  # least half width of the profile across the line
+END_SHAPE_SIGMA_PX = 0.05  # of the end of the light; 0.03 to 0.05 on drawn lines
+MIN_PROFILE_REACH_PX = 4.0  # smallest half width of the profile across the line
 
 
 class UnreadableError(Exception):
-    """The frame cannot be read; the message is the reason."""
+    """The frame cannot be read. The message is the reason."""
 
 
 def cumulative_length(points: np.ndarray) -> np.ndarray:
-    """Compute the length of a line (K, 2) from its first to each point, (K,)."""
+    """Compute the length along a line (K, 2) at each point, (K,)."""
     return np.concatenate([[0.0], np.cumsum(step_lengths(points))])
 
 
@@ -61,8 +61,8 @@ class Centreline:
     ----------
     points : (K, 2) pixels (u, v)
     sigma : (K,) standard deviation of a coordinate [px]
-    light : (K,) sum of light across the line, which blur does not change [grey levels
-        half pixels]; NaN where an outline may add to it
+    light : (K,) sum of light across the line, independent of blur [grey levels half
+        pixels]; NaN where an outline may add to it
     """
 
     points: np.ndarray
@@ -82,11 +82,11 @@ class CrossProfile:
     Parameters
     ----------
     shift : of the string's middle from the line [px]
-    sigma : its standard deviation [px]
-    light : sum across the line, of what exceeds the noise [grey levels half pixels]
-    near_light : sum close to the line, with what noise hides
-    outlined : whether the arm's outline hides which light is the string's
-    unseen : whether nothing is read at a point and the line is extended across it
+    sigma : standard deviation of the shift [px]
+    light : sum of light above the noise across the line [grey levels half pixels]
+    near_light : sum of all light close to the line [grey levels half pixels]
+    outlined : whether the arm's outline may add light
+    unseen : whether a point is not read, and the line is extended across it
     """
 
     shift: np.ndarray
@@ -113,7 +113,7 @@ def trace_line(
     mask : (height, width) uint8 array
         Certain pixels of the string.
     arm : (height, width) bool array
-        Where the arm is: the string may go on in front of it unseen.
+        Pixels of the arm, in front of which the string may be invisible.
     grasp : (2,) array
         Pixel (u, v) of the grasp.
     start_radius : float
@@ -122,12 +122,12 @@ def trace_line(
     Returns
     -------
     (K, 2) array
-        Pixels (u, v), the grasp first.
+        Pixels (u, v) from the grasp on.
 
     Raises
     ------
     UnreadableError
-        If no string is in view or none is at the grasp.
+        If no string is in view or at the grasp.
     """
     bridge = np.ones((MAX_GAP_PX, MAX_GAP_PX), np.uint8)
     allowed = (cv2.dilate(mask, bridge) > 0) | arm
@@ -139,7 +139,7 @@ def trace_line(
     if distance[inside].min() > start_radius:
         raise UnreadableError("no string at the grasp")
 
-    # cheapest paths from the grasp, in the part of the picture with allowed pixels
+    # Cheapest paths from the grasp, in the part of the picture with allowed pixels.
     left, right = columns.min(), columns.max()
     part = np.s_[rows[0] : rows[-1] + 1, left : right + 1]
     graph = _pixel_graph(light[part], mask[part], allowed[part])
@@ -153,7 +153,7 @@ def trace_line(
 
 
 def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> coo_array:
-    """Build the graph of steps between allowed pixels, by length and faintness."""
+    """Build the graph of allowed pixels, with a cost by length and faintness."""
     count = int(allowed.sum())
     number = np.full(allowed.shape, -1)
     number[allowed] = np.arange(count)
@@ -181,12 +181,12 @@ def _pixel_graph(light: np.ndarray, mask: np.ndarray, allowed: np.ndarray) -> co
 def _path_in_mask(
     depth: np.ndarray, previous: np.ndarray, inside: np.ndarray, patch: np.ndarray
 ) -> list[int]:
-    """Find the path with most pixels in the mask, to the deepest pixel of any patch.
+    """Find the path to the deepest pixel of a patch with most pixels in the mask.
 
     Parameters
     ----------
     depth, previous : (N,) arrays
-        Cost of the cheapest path to each pixel, and the pixel before it on that path.
+        Cost of the cheapest path to each pixel, and the previous pixel on that path.
     inside : (N,) bool array
         Whether a pixel is in the mask.
     patch : (N,) array of int
@@ -222,8 +222,8 @@ def refine_line(
     Parameters
     ----------
     frame : SegmentedFrame
-        The string's light; where the arm's outline makes it uncertain, the line is
-        extended.
+        The string's light. The line is extended where the arm's outline makes it
+        uncertain.
     path : (K, 2) array
         Traced pixels (u, v).
     half_width : float
@@ -234,7 +234,7 @@ def refine_line(
     Centreline
         Points about a pixel apart, with their uncertainty.
     """
-    # first pass, without the path's end: the deepest pixel of a wide end is its corner
+    # First pass, without the end: the deepest pixel of a wide end is its corner.
     read_count = max(len(path) - int(np.ceil(1.5 * half_width)), 2)
     smoothing = max(2.0, half_width / 2)
     line = gaussian_filter1d(path[:read_count], smoothing, axis=0, mode="nearest")
@@ -242,16 +242,16 @@ def refine_line(
     line = _extend_line(line, fit_length, 2 * half_width + 4, degree=1)
     first = _centre_points(frame, line, half_width)
     if np.isnan(first.light[-1]):
-        return first  # its end is hidden, so that nothing shows where to extend it
+        return first  # the end is hidden, so the direction of an extension is unknown
 
-    # second pass from points a pixel apart, without the end: if it was cut at an
-    # angle, it is not lit on both sides
+    # Second pass from points a pixel apart, without the end, which may be cut
+    # obliquely.
     read_count = max(len(first.points) - 1 - int(np.ceil(half_width)), 2)
     depth = first.depth[:read_count]
     count = max(round(depth[-1]) + 1, 2)
     even_depth = np.linspace(0, depth[-1], count)
     line = interpolate_rows(even_depth, depth, first.points[:read_count])
-    # straight on, the tip of a bent string would be up to 0.6 px off
+    # A straight extension would displace the tip of a bent string by up to 0.6 px.
     line = _extend_line(line, 2 * fit_length, 3 * half_width + 5, degree=2)
     return _centre_points(frame, line, half_width)
 
@@ -261,15 +261,15 @@ def _centre_points(
 ) -> Centreline:
     """Move a line (K, 2) [px] to the centroid of light, and cut it at the tip.
 
-    Its points are a pixel apart and go on beyond the tip. Within half a width of the
-    tip they keep the last shift that was read.
+    The line has points a pixel apart and extends beyond the tip. Points within half a
+    width of the tip keep the last measured shift.
     """
     tangent = unit_tangents(line)
     normal = turn_left(tangent)
     profile = _cross_profiles(frame, line, normal, half_width)
     end, end_sigma = _find_end(profile.near_light, profile.outlined, half_width)
 
-    # points before the tip, and the tip itself a part of a pixel beyond the last one
+    # Points before the tip, and the tip at a fraction of a pixel beyond the last one.
     last = int(end)
     count = last + 1
     read_count = max(count - int(np.ceil(half_width)), 1)
@@ -279,7 +279,7 @@ def _centre_points(
     points = line[:count] + shift[:, None] * normal[:count]
     tip = line[last] + (end % 1) * tangent[last] + shift[-1] * normal[last]
 
-    number = np.append(np.arange(count), last)  # the tip is read as the point before it
+    number = np.append(np.arange(count), last)  # the tip has the profile before it
     sigma = point_sigmas(
         profile.sigma[number], profile.unseen[number], read_count, end_sigma
     )
@@ -302,15 +302,15 @@ def _cross_profiles(
     total = bright.sum(axis=1)
     centroid = (bright * across).sum(axis=1) / np.maximum(total, 1e-9)
     shift = np.clip(centroid, -reach, reach)
-    shift[0] = 0.0  # the arm shows where the string begins
-    # without what noise hides, a fading end would seem to come earlier
+    shift[0] = 0.0  # the beginning follows from the arm
+    # This light is not cut at the noise, which would shorten a fading end.
     is_near = np.abs(across) <= 1.3 * half_width + 1
     near_light = light[:, is_near].sum(axis=1)
 
     is_dark = total < 4 * frame.noise
     on_string = np.abs(across) <= half_width + 1
     is_outlined = outline[:, on_string].max(axis=1) > 0.5
-    # an outline is read again at some distance from where it begins
+    # An outline is read at some distance from its edge.
     is_near_edge = distance_transform_edt(is_dark | is_outlined) < EXTENSION_PX
     is_unseen = is_dark | (is_outlined & is_near_edge)
     is_unseen[0] = False
@@ -326,7 +326,7 @@ def _extend_line(
 ) -> np.ndarray:
     """Extend a line by up to `extension` points, as far apart as its last ones.
 
-    It goes on along the polynomial of this degree through its last `fit_length` points.
+    The extension is a polynomial of this degree through the last `fit_length` points.
     """
     end_points = line[-1 - int(fit_length) :]
     number = np.arange(1.0 - len(end_points), 1.0)  # 0 at the end of the line
@@ -344,9 +344,9 @@ def _find_end(
 ) -> tuple[float, float]:
     """Find the point at which the light along a line falls to half, and its sigma.
 
-    Blur along the string fades its end; half is where the end is in the middle of the
-    exposure, however fast it moved. An end hidden by an outline may lie anywhere in it.
-    Both are in numbers of points, which are pixels. Raises UnreadableError if no
+    Motion blurs the end, but the half level lies at its place in the middle of the
+    exposure, at any speed. An end hidden by an outline may lie anywhere in it. Both
+    results are in numbers of points, which are pixels. Raises UnreadableError if no
     point is lit.
     """
     reach = int(4 * half_width + 4 + END_MARGIN_PX)
@@ -359,10 +359,10 @@ def _find_end(
     last = int(lit[-1])
     hidden_count = int(np.argmin(np.append(outlined[last + 1 :], False)))
     if hidden_count or last + 1 == len(light):
-        # mean and standard deviation of a uniform distribution over the hidden points
+        # Mean and standard deviation of a uniform distribution over the hidden points.
         return last + hidden_count / 2, max(hidden_count, 1) / np.sqrt(12)
 
-    drop = float(light[last] - light[last + 1])  # [grey levels half pixels] a point
+    drop = float(light[last] - light[last + 1])  # [grey levels half pixels] per point
     end = last + float(light[last] - half_light) / drop
     plateau = light[first : max(last - int(2 * half_width), first + 1)]
     light_sigma = mad_sigma(plateau - full_light)

@@ -1,4 +1,4 @@
-"""The string in every frame of a film; unreadable frames are marked with the reason."""
+"""Extract the string from every frame of a film, with a reason if that fails."""
 
 from __future__ import annotations
 
@@ -45,14 +45,13 @@ from stringcast.stages.spec import StageCall
 
 cv2 = LazyModule("cv2")
 
-WINDOW_MARGIN_PX = 12.0  # around what the string can reach
-MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of one frame's string over that of the film
-# uncertainty of a point's shift along the line by uneven tension, as a share of it
-STRETCH_ERROR_SHARE = 0.3
-# from this half width on, brightness alone does not show where the middle is
+WINDOW_MARGIN_PX = 12.0  # around the string's reach
+MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of the string in one frame over that in the film
+STRETCH_ERROR_SHARE = 0.3  # relative error of a point's shift by uneven tension
+# From this half width on, brightness has no sharp maximum in the middle.
 WIDE_STRING_HALF_WIDTH_PX = 3.0
-HAND_SIGMA_PX = 0.5  # of a coordinate of the hand that was found in the frames
-TRACE_START_MARGIN_PX = 8.0  # beyond the hidden length, within which a line begins
+HAND_SIGMA_PX = 0.5  # of a coordinate of the hand, if fitted to the frames
+TRACE_START_MARGIN_PX = 8.0  # of the beginning of a line beyond the hidden length
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class FrameReading:
     points : (K, 2) positions at equal arc lengths [m]
     sigma : (K,) standard deviation of a coordinate [m]
     mask : the string's pixels as PNG
-    length : of the line [m]
+    length : length of the line [m]
     """
 
     points: np.ndarray
@@ -103,22 +102,22 @@ def extract(
     footage : Footage
         Frames, with the pose of the grasp and the arm's joints in each.
     camera : Camera
-        Geometry by which pixels are places in the plane.
+        Geometry of the camera.
     string_length : float
         Length from grasp to tip [m].
     points : int
         Number of points K reported along the string.
     sigmas : float
-        Threshold above the noise, in standard deviations of it.
+        Threshold in standard deviations of the noise.
     arm_width : float
         Width of the arm's links in the picture [m].
     hidden : float
-        Length near the grasp that may be out of sight [m].
+        Length near the grasp that may be hidden [m].
     shorter, longer : float
-        Shares of the string's length by which the line may differ from it; a swung
+        Largest relative deviations of the line's length from the string's. A swung
         string stretches.
     progress : callable
-        Called with the share of frames that are done.
+        Called with the share of frames done.
 
     Returns
     -------
@@ -128,7 +127,7 @@ def extract(
     Raises
     ------
     DataError
-        If the frames are not as large as the camera's.
+        If the size of the frames is not the camera's.
     """
     rows, columns = footage.images[0].shape
     if (columns, rows) != (camera.width, camera.height):
@@ -172,7 +171,7 @@ def extract(
 
 
 def _sample_frames(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Choose the frames from which the scene is estimated, uint8."""
+    """Choose frames for the estimate of the scene, uint8."""
     frames = []
     for number in choose_evenly(len(images), MAX_SAMPLES):
         image = images[number]
@@ -192,7 +191,7 @@ def _estimate_scene(
 ) -> tuple[np.ndarray, float]:
     """Estimate the scene that all frames share, and half the string's width [px].
 
-    frames: those of `_sample_frames`. uncovered: result of `uncovered_brightness`.
+    frames: result of `_sample_frames`. uncovered: result of `uncovered_brightness`.
     arm_width, string_length: [px].
     """
     arms = []
@@ -217,13 +216,13 @@ class FrameReader:
     Parameters
     ----------
     footage : stabilised frames with grasp and arm
-    camera : its geometry
+    camera : geometry of the camera
     backdrop : the scene behind the string
     arc_lengths : (K,) of the points to report [m]; the last is the string's length
-    sigmas : threshold above the noise
-    arm_width : of the arm's links [px]
-    hidden : length near the grasp that may be out of sight [px]
-    shorter, longer : shares by which the line may differ from the string's length
+    sigmas : threshold in standard deviations of the noise
+    arm_width : width of the arm's links [px]
+    hidden : length near the grasp that may be hidden [px]
+    shorter, longer : largest relative deviations from the string's length
     hand_sigma : standard deviation of a coordinate of the grasp [px]
     """
 
@@ -273,11 +272,11 @@ class FrameReader:
         if window.size.min() < 2 * MIN_PROFILE_REACH_PX:
             raise UnreadableError("the grasp is out of view")
 
-        moments, blur = self._arm_during_exposure(number)
+        arm_joints, blur = self._arm_during_exposure(number)
         frame = segment_frame(
             window.cut(image),
             replace(self.backdrop, scene=window.cut(self.backdrop.scene)),
-            moments - window.corner,
+            arm_joints - window.corner,
             self.arm_width,
             blur,
             self.sigmas,
@@ -309,10 +308,10 @@ class FrameReader:
         return replace(line, points=points, sigma=sigma), mask
 
     def _arm_during_exposure(self, number: int) -> tuple[np.ndarray, float]:
-        """Joints (M, J + 1, 2) [px] at moments of the exposure, and the largest blur.
+        """Sample the arm's joints in the exposure, (M, J + 1, 2) [px]; find its blur.
 
-        Moments are so dense that no joint moves more than a pixel between two of them.
-        The blur is how far the fastest joint moves in the exposure [px].
+        No joint moves more than a pixel between two samples. The blur is the distance
+        that the fastest joint moves in the exposure [px].
         """
         if self.footage.body is None:
             return np.zeros((0, 2, 2)), 0.0
@@ -328,16 +327,16 @@ class FrameReader:
 
 
 def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
-    """Compute where arc lengths of the string at rest lie on a measured line.
+    """Convert arc lengths of the string at rest to arc lengths on a measured line.
 
-    Tension stretches a string by the inertia of what lies beyond each point: it falls
-    to zero at the free end, evenly for a string that is thrown straight. A line that is
-    shorter than the string was read short everywhere.
+    Tension stretches a string by the inertia of the part beyond each point. It falls
+    linearly to zero at the free end of a string thrown straight. If the line is shorter
+    than the string, all of it is scaled.
 
     Parameters
     ----------
     s : (K,) array
-        Arc lengths at rest [m], the last of them the tip's.
+        Arc lengths at rest [m], up to the tip's.
     length : float
         Length of the line [m].
 

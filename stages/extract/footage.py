@@ -1,4 +1,4 @@
-"""Input of extraction: frames, the pose of the grasp in each, and where the arm is."""
+"""Input of extraction: frames, with the pose of the grasp and the arm's joints."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def footage_from_joints(film: Film, arm: Arm) -> Footage:
 
 
 def aligned_footage(film: Film, model: Model) -> Footage:
-    """Compute grasp and arm as the camera sees them, if the alignment was measured."""
+    """Compute grasp and arm as the camera reports them, with a measured alignment."""
     if film.arm is None or not model.measured_ranges:
         return footage_from_joints(film, model.arm)
     motion = resample_joint_motion(
@@ -62,7 +62,7 @@ def aligned_footage(film: Film, model: Model) -> Footage:
 
 
 def pose_of_hand(body: np.ndarray) -> np.ndarray:
-    """Compute the pose (F, 3) [m], [rad] of the hand of joints (F, J + 1, 2) [m]."""
+    """Compute the pose of the hand (F, 3) [m], [rad] from joints (F, J + 1, 2) [m]."""
     hand = body[:, -1]
     link = hand - body[:, -2]
     direction = np.unwrap(np.arctan2(link[:, 1], link[:, 0]))

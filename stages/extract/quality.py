@@ -2,10 +2,9 @@
 
 A wrong line biases the estimate, and a refused frame only costs a frame.
 
-The light across a string is the same all along it, however blurred. Where it is
-missing, a gap was bridged; where it is twice as much, another line lies on top. Light
-beside the line and connected with it is a loop cut short, or something that is no
-string.
+The total light across a string is the same all along it, with any blur. Missing light
+is a bridged gap; twice the light is another line on top. Light next to the line and
+connected with it is a loop that the line cut off, or another object.
 """
 
 from __future__ import annotations
@@ -19,22 +18,22 @@ from stringcast.stages.model.polyline import step_lengths
 
 cv2 = LazyModule("cv2")
 
-# as shares of the line's typical light
+# Relative to the line's typical light.
 MIN_RELATIVE_LIGHT = 0.35
 MAX_RELATIVE_LIGHT = 1.8
-# longest run of points that are dimmer or brighter: in pixels, or in widths of the
-# string if that is more
+# Longest run of dimmer or brighter points, in pixels or in widths of the string,
+# whichever is larger.
 MAX_GAP_PX = 6.0
 MAX_GAP_WIDTHS = 1.0
 MAX_OVERLAP_PX = 9.0
 MAX_OVERLAP_WIDTHS = 1.5
-MAX_ATTACHED_SHARE = 0.06  # of the line's length: what may hang beside it
+MAX_ATTACHED_SHARE = 0.06  # of the line's length
 
 
 def check_line(line: Centreline, mask: np.ndarray, half_width: float) -> None:
-    """Raise UnreadableError with the reason where the line fails a quality check.
+    """Raise UnreadableError with the reason if the line fails a quality check.
 
-    mask: (height, width) uint8, the string's pixels. half_width: half its width [px].
+    mask: pixels of the string, (height, width) uint8. half_width: half its width [px].
     """
     step = np.append(step_lengths(line.points), 0.0)
     typical = 0.0
@@ -64,14 +63,14 @@ def longest_run(selected: np.ndarray, step: np.ndarray) -> float:
 
 
 def attached_length(line: Centreline, mask: np.ndarray, half_width: float) -> float:
-    """Measure what is connected with the line and not on it, as a length [px].
+    """Measure the pixels connected with the line but not on it, as a length [px].
 
-    It is taken to be as wide as the line.
+    Their width counts as that of the line.
     """
     near = rasterise(line.points, mask.shape, 5 + 4 * half_width) > 0
     is_string = mask > 0
     patch = cv2.connectedComponents(mask, connectivity=8)[1]
-    # pixels of each patch, on the line and in all
+    # Pixels of each patch: on the line, and in total.
     on_line = np.bincount(patch[near & is_string], minlength=patch.max() + 1)
     total = np.bincount(patch[is_string], minlength=patch.max() + 1)
     attached = (total - on_line)[on_line > 0].sum()

@@ -1,11 +1,11 @@
-"""How much of a film was read, why the rest was not, and what would help."""
+"""Messages about unread frames, with remedies."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 
-MIN_READ_SHARE = 0.5  # of the frames: below, the outcome of a cast is in doubt
+MIN_READ_SHARE = 0.5  # of the frames; below it the outcome of a cast is uncertain
 ARM_IS_ELSEWHERE = (
     "the arm may not be where its joints say: measure it with +experiment=align"
 )
@@ -23,7 +23,7 @@ REMEDIES = {
 
 
 def describe_poor_reading(readings: pd.DataFrame) -> str:
-    """Say that a string was read in few frames, and what would help.
+    """Describe that few frames were read, with a remedy.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def describe_poor_reading(readings: pd.DataFrame) -> str:
 
 
 def describe_arm_misfit(readings: pd.DataFrame) -> str:
-    """Say that the arm is not where its joints say, and what would help.
+    """Describe that the arm differs from its reported joints, with a remedy.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def describe_arm_misfit(readings: pd.DataFrame) -> str:
     Returns
     -------
     str
-        Empty if the arm is where its joints say, or if it is not seen clearly.
+        Empty if the reported joints are right, or if the arm is not clearly visible.
     """
     if "hand_shift" not in readings or not len(readings):
         return ""
@@ -71,13 +71,13 @@ def describe_arm_misfit(readings: pd.DataFrame) -> str:
 
 
 def count_frames_read(readings: pd.DataFrame) -> str:
-    """Say how many frames were read, with the commonest reason against the others."""
+    """Describe how many frames were read, with the commonest reason for the others."""
     text = f"{int(readings['valid'].sum())} of {len(readings)} frames"
     reason = commonest_reason(readings)
     return f"{text} (most often: {reason})" if reason else text
 
 
 def commonest_reason(readings: pd.DataFrame) -> str:
-    """Return the commonest reason why a frame was not read; empty if all were."""
+    """Return the commonest reason for an unread frame; empty if all were read."""
     reasons = readings.loc[~readings["valid"].astype(bool), "reason"]
     return str(reasons.mode().iloc[0]) if len(reasons) else ""

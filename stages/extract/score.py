@@ -14,8 +14,9 @@ def pixel_scores(
 ) -> tuple[int, int, np.ndarray]:
     """Score the pixels around the string by repeated dilation (IV-B).
 
-    Each dilation grows the string by a square element of 2 step_px + 1 and scores one
-    less, so the score falls with the chessboard distance, which is computed at once.
+    Each dilation grows the string by a square of 2 step_px + 1, and new pixels score
+    one less. So the score falls with the chessboard distance, which is computed
+    directly.
 
     Parameters
     ----------
@@ -29,9 +30,9 @@ def pixel_scores(
     Returns
     -------
     row, column : int
-        First pixel of the part with scores above 0.
+        First pixel of the region with scores above 0.
     scores : (rows, columns) uint8 array
-        Scores of that part; they are 0 everywhere else.
+        Scores of that region; they are 0 elsewhere.
     """
     left, top, width, height = cv2.boundingRect(mask)
     if not width:
@@ -50,7 +51,7 @@ def rasterise(
 ) -> np.ndarray:
     """Draw polylines (..., K, 2) of pixels (u, v) as a binary image, uint8 0 or 255."""
     canvas = np.zeros(shape, np.uint8)
-    # OpenCV takes fixed-point numbers: 4 bits behind the point
+    # OpenCV uses fixed-point numbers with 4 fractional bits.
     pixels = np.rint(points_px * 16).astype(np.int32)
     lines = list(pixels.reshape(-1, pixels.shape[-2], 1, 2))
     thickness = max(round(width_px), 1)

@@ -1,4 +1,4 @@
-"""Segmentation: pixels brighter than the scene without the string would be."""
+"""Segmentation: pixels brighter than the scene without the string."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from stringcast.stages.extract.score import rasterise
 
 cv2 = LazyModule("cv2")
 
-WIDTH_SAMPLES = 15  # frames from which the string's width is measured
-BRIGHTNESS_SAMPLES = 30  # frames from which the string's brightness is measured
-BAND_ROWS = 16  # rows of all frames that are sorted at a time: about a megabyte
-# quantile of the frames without the arm at which the wall is not in shadow
+WIDTH_SAMPLES = 15  # frames in which the string's width is measured
+BRIGHTNESS_SAMPLES = 30  # frames in which the string's brightness is measured
+BAND_ROWS = 16  # rows of all frames to sort at a time: about a megabyte
+# Quantile of the frames without the arm at which the wall is not in shadow.
 LIT_QUANTILE = 0.75
-SHADOW_GREY = 4.0  # grey levels by which a shadow at least darkens the wall
-# percentile over time: a pixel shows the background when the string has left it at
-# least this often
+SHADOW_GREY = 4.0  # smallest darkening of the wall by a shadow [grey levels]
+# Percentile over time at which a pixel shows the background. The string must leave it
+# at least that often.
 BACKGROUND_PERCENTILE = 3
-# of the string's length: distance from a resting grasp within which the string may
-# never leave its pixels
+# Distance from a resting grasp, over the string's length, within which the string may
+# never leave its pixels.
 STATIC_SHARE = 0.35
 STILL_PX = 5.0  # a resting grasp moves less
-# width of the median that fills it in; OpenCV has none wider than 361
+# Width of the median that replaces these pixels; OpenCV's largest is 361.
 MAX_MEDIAN_WIDTH_PX = 350
 MIN_PATCH_PX = 12  # a smaller patch is the arm's edge or noise
 OUTLINE_ERROR_PX = 1.0  # of the outline of a resting arm
-MAX_LIGHT_GAIN = 5.0  # by which the string's light is raised before a bright arm
-# error from which a pixel does not show where the string's middle is [grey levels]
+MAX_LIGHT_GAIN = 5.0  # of the string's light in front of a bright arm
+# With a larger error [grey levels], a pixel does not locate the string's middle.
 MAX_OUTLINE_ERROR_GREY = 10.0
-MAX_DARK_SIGMAS = 2.0  # by which noise makes a pixel darker than it is
-MIN_NOISE_GREY = 0.3  # noise of rounding to whole levels
+MAX_DARK_SIGMAS = 2.0  # largest darkening by noise
+MIN_NOISE_GREY = 0.3  # noise of rounding to integers
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Backdrop:
     ----------
     scene : (height, width) grey levels without string and arm
     string : brightness of the string [grey levels]
-    half_width : half its width, blurred [px]
+    half_width : half the string's blurred width [px]
     sway : standard deviation of the camera's direction [px]
     """
 
@@ -61,11 +61,11 @@ class SegmentedFrame:
 
     Parameters
     ----------
-    light : brightness above everything else, as in front of the scene [grey levels];
-        negative by noise where there is no string
+    light : brightness above the background, scaled as in front of the scene [grey
+        levels]; noise makes it negative
     mask : certain pixels of the string, uint8
-    arm : where the arm may hide the string, bool
-    outline : where the arm's edge makes brightness uncertain, bool
+    arm : pixels where the arm may hide the string, bool
+    outline : pixels where the arm's edge makes brightness uncertain, bool
     noise : standard deviation of the light [grey levels]
     """
 
@@ -79,7 +79,7 @@ class SegmentedFrame:
 def segment_frame(
     image: np.ndarray,
     backdrop: Backdrop,
-    moments: np.ndarray,
+    arm_joints: np.ndarray,
     width: float,
     blur: float,
     sigmas: float,
@@ -92,15 +92,15 @@ def segment_frame(
         The frame [grey levels].
     backdrop : Backdrop
         The scene behind the string.
-    moments : (M, J + 1, 2) array
-        The arm's joints at moments of the exposure [px].
+    arm_joints : (M, J + 1, 2) array
+        Samples of the arm's joints during the exposure [px].
     width : float
         Width of a link [px].
     blur : float
-        Distance that the arm moves in the exposure [px]; the clock may be half an
-        exposure off.
+        Distance that the arm moves in the exposure [px]. The clock may have an error of
+        half an exposure.
     sigmas : float
-        Threshold above the noise.
+        Threshold in standard deviations of the noise.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def segment_frame(
         The string's light and pixels.
     """
     expected, body, outline = expected_brightness(
-        image, backdrop.scene, moments, width, OUTLINE_ERROR_PX + blur / 2
+        image, backdrop.scene, arm_joints, width, OUTLINE_ERROR_PX + blur / 2
     )
     above = cv2.GaussianBlur(image - expected, (0, 0), 0.8)
     noise = body_noise = grey_noise(above[::3, ::3])
@@ -116,14 +116,14 @@ def segment_frame(
         body_noise = max(noise, grey_noise(above[body]))
     threshold = sigmas * np.where(body, body_noise, noise)
     mask = remove_specks((above > threshold).astype(np.uint8))
-    arm = rasterise(moments, image.shape, width + 4 + blur) > 0
-    # before the arm, only light close to certain pixels is the string's
+    arm = rasterise(arm_joints, image.shape, width + 4 + blur) > 0
+    # In front of the arm, only light close to certain pixels is the string's.
     certain = ~body | (cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0)
-    # scaled as in front of a typical part of the scene, because the string outshines a
-    # bright arm less than a dark wall
+    # Scaled to a typical part of the scene, because the contrast to a bright arm is
+    # smaller.
     contrast = backdrop.string - expected
     typical = max(float(np.median(contrast)), MIN_NOISE_GREY)
-    # darker than noise allows: what was expected beside an outline is only a bound
+    # Near an outline the expected brightness is only a bound, so light may be too dark.
     light = np.maximum(above, -MAX_DARK_SIGMAS * noise)
     light = light * typical / np.maximum(contrast, typical / MAX_LIGHT_GAIN)
     return SegmentedFrame(certain * light, mask, arm, outline, noise)
@@ -137,8 +137,8 @@ def estimate_background(
 ) -> np.ndarray:
     """Estimate the scene without string and arm.
 
-    Pixels that are bright in a few frames are string or arm. Where a shadow passes, the
-    wall too is bright in some frames only, but over more than the string's width.
+    Pixels that are bright in few frames are string or arm. Where a shadow passes, the
+    wall is also bright in some frames only, but over more than the string's width.
 
     Parameters
     ----------
@@ -165,10 +165,10 @@ def estimate_background(
 
 
 def uncovered_brightness(frames: Sequence[np.ndarray]) -> np.ndarray:
-    """Estimate each pixel's brightness when nothing bright covers it, float32."""
+    """Estimate the brightness of each pixel without bright objects, float32."""
     levels = _map_bands(_low_and_median, frames)
     low, median = levels[..., 0], levels[..., 1]
-    # noise alone makes a low percentile darker than the scene
+    # By noise, a low percentile is darker than the scene.
     return np.asarray(low + np.median(median - low))
 
 
@@ -177,7 +177,7 @@ def _map_bands(
 ) -> np.ndarray:
     """Apply a function to bands of rows of all frames, which fit a processor's cache.
 
-    function: from stacks (F, rows, width), one of each film, to (rows, width, ...).
+    function: maps stacks (F, rows, width), one for each film, to (rows, width, ...).
     """
     bands = []
     for first in range(0, len(films[0][0]), BAND_ROWS):
@@ -188,14 +188,14 @@ def _map_bands(
 
 
 def _low_and_median(stack: np.ndarray) -> np.ndarray:
-    """Low percentile and median of each pixel, (height, width, 2) float32."""
+    """Compute low percentile and median of each pixel, (height, width, 2) float32."""
     ordered = _sorted_values(stack)
     low = _percentile(ordered, BACKGROUND_PERCENTILE)
     return np.stack([low, _percentile(ordered, 50)], axis=-1)
 
 
 def _brightness_without_arm(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    """Brightness of each pixel in the lit frames without the arm in front, float32."""
+    """Compute the brightness of pixels in lit frames without the arm, float32."""
     is_arm = unpack_mask(arm, stack.shape[-1])
     ordered = _sorted_values(np.where(is_arm, 0, stack))
     last = len(stack) - 1
@@ -206,7 +206,7 @@ def _brightness_without_arm(stack: np.ndarray, arm: np.ndarray) -> np.ndarray:
 
 
 def pack_mask(mask: np.ndarray) -> np.ndarray:
-    """Pack a mask (..., width) bool into bits: a film's masks take 0.1 GB otherwise."""
+    """Pack a mask (..., width) bool into bits; unpacked, a film's masks need 0.1 GB."""
     return np.packbits(mask, axis=-1)
 
 
@@ -220,7 +220,7 @@ def typical_half_width(
 ) -> float:
     """Measure half the string's width in the more blurred frames [px].
 
-    The string is what outshines the scene most, beside the arm.
+    The brightest pixels relative to the scene, away from the arm, are the string.
     """
     widths = []
     for number in choose_evenly(len(frames), WIDTH_SAMPLES):
@@ -233,7 +233,7 @@ def typical_half_width(
 
 
 def mask_half_width(mask: np.ndarray) -> float:
-    """Measure half the width of a mask: distance of its inside from its edge [px]."""
+    """Measure half the width of a mask: distance of inner pixels from the edge [px]."""
     if not mask.any():
         return 1.0
     distance = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
@@ -241,15 +241,15 @@ def mask_half_width(mask: np.ndarray) -> float:
 
 
 def _sorted_values(stack: np.ndarray) -> np.ndarray:
-    """Each pixel's values from dark to bright, (height, width, F)."""
-    # transposing by OpenCV is ten times as fast as by NumPy
+    """Sort each pixel's values from dark to bright, (height, width, F)."""
+    # OpenCV transposes ten times as fast as NumPy.
     by_pixel: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
     by_pixel.sort(axis=-1, kind="stable")  # a fast radix sort
     return by_pixel.reshape(*stack.shape[1:], -1)
 
 
 def _percentile(ordered: np.ndarray, percent: float) -> np.ndarray:
-    """Percentile of ordered values, (height, width) float32."""
+    """Compute a percentile of ordered values, (height, width) float32."""
     last = ordered.shape[-1] - 1
     place = percent / 100 * last
     before = min(int(place), last)
@@ -262,10 +262,10 @@ def _percentile(ordered: np.ndarray, percent: float) -> np.ndarray:
 def fill_never_uncovered(
     scene: np.ndarray, grasp: np.ndarray, length: float
 ) -> np.ndarray:
-    """Replace what the string never uncovers by its surroundings.
+    """Replace pixels that the string always covers by their surroundings.
 
-    Only a string whose grasp rests leaves pixels covered. What outshines its
-    surroundings and is connected with the grasp is taken for string.
+    They occur only if the grasp rests. Pixels brighter than their surroundings and
+    connected with the grasp count as string.
 
     Parameters
     ----------
@@ -298,14 +298,14 @@ def fill_never_uncovered(
 def expected_brightness(
     image: np.ndarray,
     scene: np.ndarray,
-    moments: np.ndarray,
+    arm_joints: np.ndarray,
     width: float,
     margin: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute the brightest that a frame could be without the string.
+    """Compute the largest brightness of a frame without the string.
 
-    The arm is taken to be as bright as along its middle; the string in front of it must
-    be brighter.
+    The arm is assumed as bright as along its middle. The string in front of it must be
+    brighter.
 
     Parameters
     ----------
@@ -313,8 +313,8 @@ def expected_brightness(
         The frame [grey levels].
     scene : (height, width) array
         The scene behind string and arm [grey levels].
-    moments : (M, J + 1, 2) array
-        The arm's joints at moments of the exposure [px].
+    arm_joints : (M, J + 1, 2) array
+        Samples of the arm's joints during the exposure [px].
     width : float
         Width of a link [px].
     margin : float
@@ -325,17 +325,17 @@ def expected_brightness(
     brightest : (height, width) float32 array
         Largest brightness [grey levels].
     body : (height, width) bool array
-        Where only the arm is seen.
+        Pixels that show only the arm.
     outline : (height, width) bool array
-        Where the arm's outline makes brightness uncertain.
+        Pixels where the arm's outline makes brightness uncertain.
     """
-    if not len(moments):
-        nowhere = np.zeros(scene.shape, bool)
-        return scene, nowhere, nowhere
-    covers = [rasterise(joints, scene.shape, width) > 0 for joints in moments]
-    cover = cv2.GaussianBlur(np.mean(covers, axis=0, dtype=np.float32), (0, 0), 0.5)
+    if not len(arm_joints):
+        empty = np.zeros(scene.shape, bool)
+        return scene, empty, empty
+    arm_masks = [rasterise(joints, scene.shape, width) > 0 for joints in arm_joints]
+    cover = cv2.GaussianBlur(np.mean(arm_masks, axis=0, dtype=np.float32), (0, 0), 0.5)
     body = cover > 0.99
-    middle = (rasterise(moments, scene.shape, width / 3) > 0) & body
+    middle = (rasterise(arm_joints, scene.shape, width / 3) > 0) & body
     arm_level = float(np.median(image[middle])) if middle.any() else 0.0
     blended = scene + cover * (arm_level - scene)
     square = np.ones((2 * round(margin) + 1,) * 2, np.uint8)
@@ -346,9 +346,9 @@ def expected_brightness(
 
 
 def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
-    """Measure the string's brightness where nothing blurs it [grey levels].
+    """Measure the string's brightness without blur [grey levels].
 
-    It is seen where each frame outshines the scene most.
+    It is that of each frame's brightest pixel relative to the scene.
     """
     brightest = []
     for number in choose_evenly(len(images), BRIGHTNESS_SAMPLES):
@@ -360,7 +360,7 @@ def string_brightness(images: Sequence[np.ndarray], scene: np.ndarray) -> float:
 def grey_noise(difference: np.ndarray) -> float:
     """Estimate the noise from a difference of any shape, by the median.
 
-    The string covers less than half of the pixels and has no influence.
+    The string does not affect it, because it covers less than half of the pixels.
     """
     return max(mad_sigma(difference - np.median(difference)), MIN_NOISE_GREY)
 

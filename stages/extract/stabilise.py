@@ -1,8 +1,8 @@
-"""Stabilisation: correction of frames for a flickering lamp and a trembling camera.
+"""Stabilisation: correction of frames for a flickering lamp and a shaking camera.
 
-Each frame is compared with the median of the film: frame = gain * median, shifted by
-(d_u, d_v), by least squares on the picture's own texture, where moving pixels have no
-weight. Where there is too little texture, nothing is changed.
+Each frame is modelled as gain * median of the film, shifted by (d_u, d_v). Least
+squares on the picture's texture finds gain and shift; moving pixels have no weight.
+Without enough texture nothing is changed.
 
 Reference: B. Lucas and T. Kanade, An iterative image registration technique with an
 application to stereo vision, IJCAI 1981.
@@ -21,26 +21,26 @@ from stringcast.stages.common import choose_evenly, mad_sigma, rms
 
 cv2 = LazyModule("cv2")
 
-MAX_SAMPLES = 120  # frames whose median stands for the film
-# factors by which the picture is made smaller: large shifts first, then their fractions
+MAX_SAMPLES = 120  # frames for the median
+# Factors of reduction of the picture, for large shifts and then for their fractions.
 COARSE_SCALE = 8
 FINE_SCALE = 3
 NEWTON_STEPS = 2  # Gauss-Newton steps at each scale
 MIN_GAIN = 1e-3  # of a black frame
-MOVING_PIXEL_SIGMAS = 3.0  # residual from which a pixel shows something that moves
-MIN_TREMBLE_PX = 0.1  # RMS shift below which a camera stands still
-MIN_FLICKER = 0.01  # RMS relative brightness below which a lamp burns steadily
-# of both thresholds, at the coarse scale, which errs by 0.05 px: candidates are added,
-# none is lost
+MOVING_PIXEL_SIGMAS = 3.0  # residual of a moving pixel
+MIN_SHAKE_PX = 0.1  # RMS shift below which the camera is still
+MIN_FLICKER = 0.01  # RMS relative brightness below which the lamp is steady
+# Share of both thresholds at the coarse scale, which has an error of 0.05 px. It adds
+# candidates and loses none.
 COARSE_THRESHOLD_SHARE = 0.7
-MAX_SHIFT_SIGMA_PX = 0.05  # above it, there is too little texture to know a shift
-# parts across and down: a shift that one part alone shows, such as a wide string that
-# swings there, is not believed
+MAX_SHIFT_SIGMA_PX = 0.05  # above it there is too little texture
+# Parts across and down. A shift in one part only, such as of a wide string that swings
+# there, is rejected.
 IMAGE_PARTS = 5
 
 
 def stabilise_film(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], float]:
-    """Remove flicker and tremble from a film.
+    """Remove flicker and shake from a film.
 
     Parameters
     ----------
@@ -50,20 +50,22 @@ def stabilise_film(images: Sequence[np.ndarray]) -> tuple[Sequence[np.ndarray], 
     Returns
     -------
     images : sequence of F arrays (height, width)
-        The corrected film; the same object where it needs no correction.
+        The corrected film, or the same object if it needs no correction.
     sigma : float
         Standard deviation of the mean shift [px].
     """
     unchanged = np.tile([1.0, 0.0, 0.0], (len(images), 1))
-    found, _ = _register_images(images, COARSE_SCALE, unchanged)
-    gain, shift = _significant_changes(found, COARSE_THRESHOLD_SHARE)
+    registration, _ = _register_images(images, COARSE_SCALE, unchanged)
+    gain, shift = _significant_changes(registration, COARSE_THRESHOLD_SHARE)
     if shift.any() or (gain != 1).any():
-        found, sigma = _register_images(images, FINE_SCALE, found)
-        found[sigma >= MAX_SHIFT_SIGMA_PX, 1:] = 0.0
-        gain, shift = _significant_changes(found, 1.0)
+        registration, sigma = _register_images(images, FINE_SCALE, registration)
+        registration[sigma >= MAX_SHIFT_SIGMA_PX, 1:] = 0.0
+        gain, shift = _significant_changes(registration, 1.0)
     if not shift.any() and (gain == 1).all():
         return images, 0.0
-    median_sigma = np.sqrt(np.pi / 2 / len(shift))  # in sigmas of the median's values
+    median_sigma = np.sqrt(
+        np.pi / 2 / len(shift)
+    )  # of the median, in sigmas of a value
     sway = float(median_sigma * rms(shift))
     return StabilisedImages(images, gain, shift), sway
 
@@ -90,23 +92,23 @@ class StabilisedImages(Sequence[np.ndarray]):
 
 
 def _significant_changes(
-    found: np.ndarray, threshold_share: float
+    registration: np.ndarray, threshold_share: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gains (F,) and shifts (F, 2) [px] about their medians, where they matter.
+    """Return significant gains (F,) and shifts (F, 2) [px] about their medians.
 
-    Gains are 1 and shifts 0 where their RMS is below this share of the threshold.
+    If their RMS is below this share of the threshold, gains are 1, or shifts 0.
     """
-    gain = found[:, 0] / np.median(found[:, 0])
+    gain = registration[:, 0] / np.median(registration[:, 0])
     if not rms(gain - 1) > threshold_share * MIN_FLICKER:
         gain = np.ones_like(gain)
-    shift = found[:, 1:] - np.median(found[:, 1:], axis=0)
-    if not rms(shift) > threshold_share * MIN_TREMBLE_PX:
+    shift = registration[:, 1:] - np.median(registration[:, 1:], axis=0)
+    if not rms(shift) > threshold_share * MIN_SHAKE_PX:
         shift = np.zeros_like(shift)
     return gain, shift
 
 
 def _downscale(image: np.ndarray, scale: int) -> np.ndarray:
-    """Make an image so many times smaller and smooth, float32."""
+    """Reduce an image by the factor `scale` and smooth it, float32."""
     small = cv2.resize(
         image.astype(np.float32),
         None,
@@ -121,32 +123,32 @@ def _downscale(image: np.ndarray, scale: int) -> np.ndarray:
 def _register_images(
     images: Sequence[np.ndarray], scale: int, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Register each image to the film's median, all so many times smaller.
+    """Register each image to the film's median, both reduced by the factor `scale`.
 
-    start: (F, 3) gain and shift (d_u, d_v) [px] from which Gauss-Newton begins. Returns
+    start: initial gains and shifts (d_u, d_v) [px] of Gauss-Newton, (F, 3). Returns
     gains and shifts (F, 3), and the standard deviation of the shifts (F,) [px].
     """
     numbers = choose_evenly(len(images), MAX_SAMPLES)
     samples = [_downscale(images[number], scale) for number in numbers]
     template = np.median(samples, axis=0)
-    found, sigmas = [], []
+    registration, sigmas = [], []
     for full_image, first_guess in zip(images, start, strict=True):
         image = _downscale(full_image, scale)
         guess = first_guess
         for _ in range(NEWTON_STEPS):
             steps = _newton_steps(image, template, guess, scale)
             guess = guess + np.mean(steps, axis=0)
-        # jackknife over the parts of the picture
+        # Jackknife over the parts of the picture.
         scatter = np.sqrt((len(steps) - 1) * np.var(steps, axis=0))
-        found.append(guess)
+        registration.append(guess)
         sigmas.append(float(np.linalg.norm(scatter[1:])))
-    return np.array(found), np.array(sigmas)
+    return np.array(registration), np.array(sigmas)
 
 
 def _newton_steps(
     image: np.ndarray, template: np.ndarray, guess: np.ndarray, scale: int
 ) -> np.ndarray:
-    """Gauss-Newton steps of gain and shift without each part in turn, (PARTS^2, 3)."""
+    """Compute Gauss-Newton steps that omit each part in turn, (IMAGE_PARTS^2, 3)."""
     gain = guess[0]
     shifted = _shift_image(template, guess[1:] / scale)
     slope_u = cv2.Sobel(shifted, cv2.CV_32F, 1, 0, scale=0.125)
@@ -156,7 +158,8 @@ def _newton_steps(
     noise = mad_sigma(residual.ravel()[::7]) + 1e-3
     is_still = np.abs(residual) < MOVING_PIXEL_SIGMAS * noise
 
-    # normal equations of each part, (PARTS^2, 4, 4): three slopes and the residual
+    # Normal equations of each part, (IMAGE_PARTS^2, 4, 4): three slopes and the
+    # residual.
     system = np.concatenate([slopes[:, 2:-2, 2:-2], residual[None]]) * is_still
     products = []
     for band in np.array_split(system, IMAGE_PARTS, axis=1):

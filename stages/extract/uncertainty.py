@@ -1,8 +1,8 @@
 """Uncertainty of a centre-line: the standard deviation of each point's coordinates.
 
-Across the line, noise, texture and coding leave light beside the string that displaces
-the centroid. Along the line, a point lies at its share of the whole length: an error of
-the end stretches the whole line, and a hidden stretch may be longer than it is drawn.
+Across the line, noise, texture and coding leave light next to the string that displaces
+the centroid. Along the line, a point lies at a fixed share of the length: an error of
+the end stretches the whole line, and a hidden part may be longer than it is drawn.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from scipy.ndimage import distance_transform_edt
 
 from stringcast.stages.common import rms
 
-# offset of the light's middle from the string's, as a share of the half width
+# Offset of the light's middle from the string's, relative to the half width.
 CENTRE_ERROR_SHARE = 0.005
-MIN_SIGMA_PX = 0.03  # what sampling by pixels leaves
+MIN_SIGMA_PX = 0.03  # error of sampling by pixels
 SMOOTHED_NOISE_SHARE = 0.8  # of the centroid's noise, after averaging along the line
-NOISE_CORRELATION_PX = 2.0  # across, over which noise of a blurred picture is the same
-HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction where nothing is seen
-END_SLOPE_SIGMA = 0.02  # [px/px] error of the direction in which a line is extended
-HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length drawn where nothing is seen
+NOISE_CORRELATION_PX = 2.0  # of noise in a blurred picture, across the line
+HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction in a hidden part
+END_SLOPE_SIGMA = 0.02  # [px/px] error of the direction of an extension
+HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length of a hidden part
 
 
 def centroid_sigma(
@@ -36,9 +36,9 @@ def centroid_sigma(
     bright : (K, A) array
         Light across the line at each of its points [grey levels].
     across : (A,) array
-        Distances from the line at which the light was sampled [px].
+        Distances of the samples from the line [px].
     unseen : (K,) bool array
-        Whether nothing is seen at a point, and the line is extended across it.
+        Whether a point is hidden, and the line is extended across it.
     noise : float
         Standard deviation of the light at one pixel [grey levels].
     half_width : float
@@ -47,8 +47,8 @@ def centroid_sigma(
     Returns
     -------
     (K,) array
-        Standard deviation [px]. Light outside the string shows what displaces the
-        centroid.
+        Standard deviation [px]. It contains the displacement by light outside the
+        string.
     """
     total = np.maximum(bright.sum(axis=1), 4 * noise)
     inside = np.abs(across) <= 1.3 * half_width + 1
@@ -71,16 +71,16 @@ def centroid_sigma(
 def point_sigmas(
     across: np.ndarray, unseen: np.ndarray, read_count: int, end_sigma: float
 ) -> np.ndarray:
-    """Combine uncertainty across and along a line into that of one coordinate.
+    """Combine standard deviations across and along a line to that of a coordinate.
 
     Parameters
     ----------
     across : (K,) array
-        Standard deviation across the line [px], of points a pixel apart.
+        Standard deviation across the line of points a pixel apart [px].
     unseen : (K,) bool array
-        Whether nothing is seen at a point.
+        Whether a point is hidden.
     read_count : int
-        Number of points before the line is extended to its end.
+        Number of points before the extension to the end.
     end_sigma : float
         Standard deviation of the end along the line [px].
 

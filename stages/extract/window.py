@@ -1,4 +1,4 @@
-"""The part of the picture that the string can reach from where it is held."""
+"""The part of the picture that the string can reach."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class Window:
 
     Parameters
     ----------
-    corner : (2,) its first pixel (u, v)
-    size : (2,) width and height [px]; not positive where it lies outside the picture
+    corner : (2,) first pixel (u, v)
+    size : (2,) width and height [px]; not positive outside the picture
     """
 
     corner: np.ndarray
@@ -36,7 +36,7 @@ class Window:
 def window_around(centre: np.ndarray, reach: float, shape: tuple[int, ...]) -> Window:
     """Build the window of half width `reach` [px] around a pixel (u, v).
 
-    It ends where the picture of the given shape ends.
+    It is cut off at the edges of a picture of the given shape.
     """
     first = np.maximum(np.floor(centre - reach), 0).astype(int)
     end = np.minimum(np.ceil(centre + reach) + 1, shape[1::-1]).astype(int)

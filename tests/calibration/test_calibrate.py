@@ -74,7 +74,7 @@ def true_pixels(world):
     return seen[:, 0]
 
 
-def test_a_known_camera_comes_back_within_its_uncertainty(clean):
+def test_a_known_camera_is_recovered_within_its_uncertainty(clean):
     found = clean
     assert found.reason == ""
     lens = found.measured.iloc[:8]
@@ -88,7 +88,7 @@ def test_a_known_camera_comes_back_within_its_uncertainty(clean):
     assert (outcome["width"], outcome["height"]) == SIZE
 
 
-def test_the_plane_is_where_the_board_was_held(clean):
+def test_the_plane_of_the_board_is_recovered(clean):
     found = clean
     block = yaml.safe_load(found.outcome["camera"].iloc[0])
     camera = Camera(
@@ -130,7 +130,7 @@ def _distance():
 
 
 @pytest.mark.parametrize(("blur", "noise"), [(1.4, 3.0), (0.6, 10.0)])
-def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
+def test_blur_and_noise_increase_errors_and_stated_sigmas(clean, blur, noise):
     worse = calibrate_pictures(*draw_pictures(1, blur=blur, noise=noise))
     z = (worse.measured["value"].iloc[:8] - lens_values(LENS)) / worse.measured[
         "sigma"
@@ -140,7 +140,7 @@ def test_blur_and_noise_cost_accuracy_and_are_told(clean, blur, noise):
         assert worse.outcome["rms"].iloc[0] > 1.3 * clean.outcome["rms"].iloc[0]
 
 
-def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
+def detect_exactly(rng, sigma, lens=LENS, poses=TILTED):
     """Return views without pictures: all corners, with noise [px]."""
     views = []
     for number, each in enumerate(poses):
@@ -156,9 +156,9 @@ def seen_exactly(rng, sigma, lens=LENS, poses=TILTED):
     return views
 
 
-def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
+def test_stated_sigmas_equal_the_spread_of_repeated_calibrations():
     rng = np.random.default_rng(3)
-    fits = [fit_lens(seen_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
+    fits = [fit_lens(detect_exactly(rng, 0.3), BOARD, SIZE) for _ in range(12)]
     z = np.array(
         [
             (lens_values(fit.lens) - lens_values(LENS))
@@ -170,15 +170,15 @@ def test_the_uncertainty_is_the_spread_of_repeated_calibrations():
     assert np.abs(z).max() < 4
 
 
-def test_a_calibration_repeats_to_the_bit():
-    """OpenCV adds by several threads, in an order that varies."""
-    views = seen_exactly(np.random.default_rng(3), 0.3)
+def test_a_calibration_is_reproducible_to_the_bit():
+    """OpenCV's threads would add in a varying order."""
+    views = detect_exactly(np.random.default_rng(3), 0.3)
     fits = {tuple(lens_values(fit_lens(views, BOARD, SIZE).lens)) for _ in range(12)}
     assert len(fits) == 1
 
 
-def test_the_covariance_has_the_deviations_that_opencv_gives():
-    views = seen_exactly(np.random.default_rng(4), 0.3)
+def test_the_covariance_has_the_standard_deviations_of_opencv():
+    views = detect_exactly(np.random.default_rng(4), 0.3)
     ours = np.sqrt(np.diag(fit_lens(views, BOARD, SIZE).covariance))
     solid = [BOARD.points.astype(np.float32)] * len(views)
     theirs = cv2.calibrateCameraExtended(
@@ -195,7 +195,7 @@ def test_the_covariance_has_the_deviations_that_opencv_gives():
 # --- refused sets
 
 
-def test_views_that_are_parallel_cannot_tell_the_focal_length():
+def test_parallel_views_do_not_determine_the_focal_length():
     rng = np.random.default_rng(5)
     parallel = [
         (0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4)
@@ -204,19 +204,20 @@ def test_views_that_are_parallel_cannot_tell_the_focal_length():
     found = calibrate_pictures(tilted(rng, parallel), picture(*FLAT, rng))
     assert not found.outcome["valid"].iloc[0]
     assert (
-        "are needed to tell focal length from distance. Tilt the board" in found.reason
+        "are needed to distinguish focal length from distance. Tilt the board"
+        in found.reason
     )
 
 
-def test_a_half_of_the_picture_that_no_corner_covers_is_named(pictures):
+def test_a_half_of_the_picture_without_corners_is_reported(pictures):
     rng = np.random.default_rng(6)
     left = [(x, y, roll, -0.75, down, 0.6) for x, y, roll, _, down, _ in TILTED]
     found = calibrate_pictures(tilted(rng, left), pictures[1])
     assert "fewest in its right half: the lens is not known there" in found.reason
 
 
-def test_one_view_that_does_not_fit_is_named(pictures):
-    """A view of a bent or shaken board, which no pinhole camera sees, is named."""
+def test_one_view_that_does_not_fit_is_reported(pictures):
+    """A view of a bent or shaken board fits no pinhole camera."""
     tilts, flat = pictures
     across, down = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
     bent = cv2.remap(
@@ -259,7 +260,7 @@ def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
         calibrate_pictures(*pictures, board=OTHERS[kind])
 
 
-def test_corners_on_one_line_do_not_fix_a_board(pictures):
+def test_corners_on_one_line_do_not_determine_a_pose(pictures):
     """Ten visible corners on one line are refused.
 
     No pose follows from them.
@@ -283,7 +284,7 @@ def test_pictures_of_two_sizes_are_refused(pictures):
         calibrate_pictures(pictures[0], cv2.resize(pictures[1], (320, 240)))
 
 
-def test_a_board_that_cannot_be_is_refused():
+def test_an_impossible_board_is_refused():
     with pytest.raises(ValueError, match="smaller than the square"):
         Board((8, 11), 0.02, 0.02, "DICT_5X5_100")
     with pytest.raises(ValueError, match="has 50 markers, the board needs 60"):
@@ -295,7 +296,7 @@ def test_a_board_that_cannot_be_is_refused():
 # --- the calibrated camera
 
 
-def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera():
+def test_a_lens_without_distortion_or_tilt_is_the_plain_camera():
     plain = Camera(*SIZE, 340.0, (251.5, 387.5), 200.0, rotation=0.1)
     through = replace(plain, lens=lens_from_values([900, 900, 330, 250, 0, 0, 0, 0]))
     world = np.random.default_rng(0).uniform(-0.5, 0.8, (3, 7, 2))
@@ -307,7 +308,7 @@ def test_a_lens_without_distortion_squarely_before_the_plane_is_the_plain_camera
     np.testing.assert_allclose(turned, [[0, 0], [0.1, 0]], atol=1e-12)
 
 
-def test_a_tilted_plane_is_seen_as_by_a_pinhole():
+def test_a_tilted_plane_is_projected_as_by_a_pinhole():
     camera = Camera(
         *SIZE, 500.0, (300.0, 260.0), 200.0, rotation=0.3, tilt=(0.2, -0.1), lens=LENS
     )
@@ -329,7 +330,7 @@ def test_a_tilted_plane_is_seen_as_by_a_pinhole():
     np.testing.assert_allclose(camera.world(seen[:, 0]), world, atol=1e-9)
 
 
-def test_a_camera_that_says_two_things_is_refused():
+def test_contradictory_camera_settings_are_refused():
     with pytest.raises(ValueError, match=r"set camera\.distortion to 0"):
         Camera(*SIZE, 340.0, (1.0, 1.0), 200.0, distortion=0.1, lens=LENS)
     with pytest.raises(ValueError, match=r"needs camera\.lens"):
