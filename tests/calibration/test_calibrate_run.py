@@ -51,7 +51,7 @@ def compose_calibration(folders, *more):
     return compose_experiment("+experiment=calibrate", "source=images", *words)
 
 
-def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_path):
+def test_other_experiments_can_use_the_calibrated_camera(folders, tmp_path):
     here = compose_calibration(folders, "calibrate.place.corner=[0.1,0.2]")
     said = Terminal(file=io.StringIO(), width=1000)
     here.mode.perform(here, tmp_path, said)
@@ -81,7 +81,7 @@ def test_a_calibration_leaves_a_camera_that_any_experiment_takes(folders, tmp_pa
     assert not re.search(r'(src|href)="http', page)
 
 
-def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_line_stands(
+def test_a_measured_camera_replaces_the_configured_one_except_on_the_command_line(
     tmp_path,
 ):
     measured = {
@@ -105,7 +105,7 @@ def test_a_measured_camera_takes_the_place_of_the_configured_and_the_command_lin
     )
 
 
-def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
+def test_a_bad_calibration_is_refused_and_its_page_has_the_reason(folders, tmp_path):
     here = compose_calibration(folders, "calibrate.views=20")
     with pytest.raises(
         UserError,
@@ -131,7 +131,7 @@ def test_a_bad_one_is_refused_but_its_page_shows_why(folders, tmp_path):
         ("board.marker=0.03", "smaller than the square"),
     ],
 )
-def test_settings_are_refused_by_name(folders, tmp_path, wrong, words):
+def test_wrong_settings_are_refused_by_name(folders, tmp_path, wrong, words):
     here = compose_calibration(folders, wrong)
     with pytest.raises(UserError, match=words):
         here.mode.perform(here, tmp_path, SILENT)

@@ -59,7 +59,7 @@ def tip_errors(trial, arm, camera):
     )
 
 
-def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(trial, arm):
+def test_the_string_is_read_without_bias_only_with_the_lens(trial, arm):
     straight = replace(BENT, lens=replace(LENS, distortion=(0.0, 0.0, 0.0, 0.0)))
     known, ignored = (
         np.median(tip_errors(trial, arm, camera)) for camera in (BENT, straight)
@@ -68,7 +68,7 @@ def test_the_string_is_read_where_it_is_and_with_the_lens_ignored_elsewhere(tria
     assert ignored > 0.008  # measured: 9.8 mm
 
 
-def test_a_lens_that_was_measured_is_not_guessed(arm):
+def test_a_diagnosis_does_not_search_for_a_measured_lens(arm):
     string = specimen("B").string()
     names = {
         camera: {

@@ -21,7 +21,7 @@ from tests.conftest import TRUTH
 STRING_A = TRUTH | {"grasp_stiffness": 3.0}
 
 
-def test_errors_that_shrink_like_a_power_are_found_exactly():
+def test_power_law_errors_are_estimated_exactly():
     step = 0.1 * 0.5 ** np.arange(3)
     for order in (1.0, 1.5, 2.0):
         result = 7.0 + 3.0 * step**order
@@ -46,7 +46,7 @@ def fast_cast(arm):
     return hand, string, values, times, simulate(fine, hand, values, times).tip
 
 
-def test_the_fine_string_keeps_the_tip_within_a_millimetre_and_the_paper_s_does_not(
+def test_the_error_of_the_tip_is_below_a_millimetre_only_on_the_fine_mesh(
     fast_cast,
 ):
     """Over a plain cast the fine mesh is off by 0.2 mm rms, the paper's by 25 mm."""
@@ -91,13 +91,13 @@ def test_the_tip_is_within_the_tolerance_of_a_converged_string(fast_cast, tolera
     )
 
 
-def test_what_cannot_be_kept_is_refused_with_what_was_measured(fast_cast):
+def test_an_impossible_tolerance_is_refused_with_measured_errors(fast_cast):
     hand, string, values, _, _ = fast_cast
     with pytest.raises(ToleranceError, match="the best measured is"):
         find_converged_string(string, hand, values, 1e-5)
 
 
-def test_a_plain_cast_is_within_what_the_arm_can_do(arm):
+def test_a_plain_cast_is_within_the_arms_limits(arm):
     angles, speeds = plain_cast(arm, 0.5).sample(arm.tick, 0.5)
     sweep = (np.asarray(arm.highest) - arm.lowest) / 3
     np.testing.assert_allclose(angles[0, -1] - angles[0, 0], sweep, rtol=1e-9)

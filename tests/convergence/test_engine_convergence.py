@@ -42,7 +42,7 @@ def order(errors: list[float], factor: float) -> float:
 @pytest.mark.parametrize(
     "integrator", [SemiImplicitEuler(), ImplicitLeapfrog(), RungeKutta4()]
 )
-def test_the_error_falls_with_the_step_to_the_order_of_the_method(integrator):
+def test_integrators_converge_with_their_order(integrator):
     """Halving the step divides the error by 2^order.
 
     Steps are 1/1.2^k ticks.
@@ -76,7 +76,7 @@ def test_second_order_in_the_number_of_points():
     assert fine[-1] < paper[-1] / 4
 
 
-def test_a_damped_string_in_a_clamp_is_of_second_order_too():
+def test_a_damped_clamped_string_converges_to_second_order():
     """The half cell next to the clamp is damped as the rest of the string is.
 
     This holds although a clamp that does not turn damps nothing.
@@ -92,7 +92,7 @@ def test_a_damped_string_in_a_clamp_is_of_second_order_too():
     assert order(errors, 2) == pytest.approx(2, abs=0.3)
 
 
-def test_how_a_clamp_that_does_not_turn_is_damped_does_not_matter():
+def test_damping_of_a_rigid_clamp_has_no_effect():
     settings = {
         "points": 11,
         "tip_cell": 0.5,

@@ -27,7 +27,7 @@ DAMPED = TRUTH | {
 
 
 @pytest.mark.parametrize("points", [10, 25, 60])
-def test_every_corner_of_table_3_stays_finite_and_whole(points):
+def test_all_corners_of_table_3_stay_finite(points):
     """All 256 corners, and as many strings within, stay finite.
 
     The explicit step rejects some as impractical at 60 points. Strings with k_s over
@@ -52,7 +52,7 @@ def test_every_corner_of_table_3_stays_finite_and_whole(points):
     assert practical.all() == (points < 60)
 
 
-def test_strong_damping_at_many_points_as_near_as_small_steps():
+def test_strong_damping_at_many_points_is_as_accurate_as_small_steps():
     """A step of half a millisecond is within 0.1 mm of small explicit steps.
 
     The string has 25 points at the top of c_s and c_h, where the explicit step is 3 us.
@@ -86,7 +86,7 @@ def stiffening():
     return bent, bent.values(values)[None]
 
 
-def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does(stiffening):
+def test_only_the_nonlinear_part_of_a_law_bounds_the_step(stiffening):
     plain = replace(implicit_string(60, 0.005), ranges={})
     steps, _ = steps_per_tick(
         plain,
@@ -103,7 +103,7 @@ def test_what_is_not_linear_in_a_law_bounds_the_step_and_nothing_else_does(stiff
 
 
 @pytest.mark.long  # its loop is compiled for 5 s
-def test_with_the_step_so_bounded_a_law_that_is_not_linear_stays_finite(stiffening):
+def test_a_nonlinear_law_stays_finite_at_the_bounded_step(stiffening):
     bent, values = stiffening
     assert simulate(bent, HAND, values, T).finite.all()
 
@@ -115,7 +115,7 @@ def test_with_the_step_so_bounded_a_law_that_is_not_linear_stays_finite(stiffeni
         (rotation.ANY_TURN_SOURCE, 179.9, 1e-10),
     ],
 )
-def test_the_turn_of_a_segment_is_its_arc_tangent(text, most, error):
+def test_the_turn_of_a_segment_is_the_arc_tangent(text, most, error):
     module = {"njit": numba.njit, "np": np, "LAW": {}}
     exec(text, module)
     for angle in np.radians(np.linspace(-most, most, 1001)):
@@ -131,7 +131,7 @@ def test_the_turn_of_a_segment_is_its_arc_tangent(text, most, error):
         (rotation.ATAN_COEFFICIENTS_TO_ONE, 1.0),
     ],
 )
-def test_the_coefficients_of_the_arc_tangent_are_those_of_the_fit(numbers, limit):
+def test_the_constants_of_the_arc_tangent_equal_their_fit(numbers, limit):
     np.testing.assert_allclose(
         numbers, rotation.fit_atan_coefficients(len(numbers), limit), rtol=1e-7
     )

@@ -1,4 +1,4 @@
-"""The arm is found in the frames where it is not where its joints say."""
+"""The arm is found in the frames if its reported joints are wrong."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def find_arm(footage, camera):
     return fit_arm(footage, camera, uncovered, ARM_WIDTH_M * camera.px_per_m)
 
 
-def test_a_string_is_read_although_the_joints_turn_more_than_they_report(arm, camera):
+def test_a_string_is_read_if_joints_turn_more_than_reported(arm, camera):
     slow = replace(camera, fps=100.0)
     footage, body, tip = film_cast(arm, slow, JOINT_GAIN)
     points = extract(
@@ -80,7 +80,7 @@ def test_a_string_is_read_although_the_joints_turn_more_than_they_report(arm, ca
         {"camera_offset": {"x": 0.02}},
     ],
 )
-def test_other_faults_of_camera_and_clock_are_found_too(arm, camera, hidden):
+def test_errors_of_camera_and_clock_are_found(arm, camera, hidden):
     footage, body, _ = film_cast(arm, replace(camera, fps=100.0), hidden)
     before = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=1)
     after = np.linalg.norm(body - find_arm(footage, camera).body, axis=-1)[:, -1]
@@ -91,17 +91,17 @@ def test_other_faults_of_camera_and_clock_are_found_too(arm, camera, hidden):
 @pytest.mark.parametrize(
     ("hidden", "arm_level"), [({}, 150.0), (JOINT_GAIN, 45.0)], ids=["right", "unseen"]
 )
-def test_an_arm_that_is_right_or_unseen_is_left_alone(arm, camera, hidden, arm_level):
+def test_a_correct_or_invisible_arm_is_not_moved(arm, camera, hidden, arm_level):
     slow = replace(camera, fps=100.0)
     footage, _, _ = film_cast(arm, slow, hidden, Look(arm=arm_level))
     assert find_arm(footage, camera) is None
 
 
 @pytest.mark.parametrize(("beside_px", "is_moved"), [(4.0, False), (12.0, True)])
-def test_what_lies_within_the_outline_moves_no_arm(
+def test_deviations_within_the_outline_do_not_move_the_arm(
     arm, camera, monkeypatch, beside_px, is_moved
 ):
-    """One edge of the last link alone may be seen, where the rest is out of view."""
+    """Only one edge of the last link may be visible."""
     t = np.linspace(0, 0.5, 50)
     body = arm.joint_positions(np.stack([2 * t, t, -t], axis=-1))
     footage = Footage(t, [np.zeros((640, 640), np.uint8)] * 50, body[:, -1], body)
@@ -119,7 +119,7 @@ def test_what_lies_within_the_outline_moves_no_arm(
     assert (fit is not None) == is_moved
 
 
-def test_an_offset_a_gain_and_a_lag_move_the_arm_as_they_say(arm):
+def test_offset_gain_and_lag_move_the_arm_as_defined(arm):
     t = np.linspace(0, 1, 201)
     angles = np.stack([np.sin(3 * t), 1 - np.cos(2 * t), 0.5 * t**2], axis=-1)
     reported = ReportedArm.build(t, arm.joint_positions(angles))

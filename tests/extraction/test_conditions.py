@@ -79,7 +79,7 @@ QUICK = MUST.keys() - {"flicker", "hot pixels", "camera shake", "video"}
         for name in MUST
     ],
 )
-def test_what_can_be_read_is_read_and_right(cast, condition):
+def test_readable_frames_are_read_correctly(cast, condition):
     """Readable frames are read correctly.
 
     At least 10 of 12 frames are read, none is wrong, and half are within 0.4 px. The
@@ -99,7 +99,7 @@ def test_what_can_be_read_is_read_and_right(cast, condition):
         ("tip out of view", 2, "leaves the picture|shorter|no string"),
     ],
 )
-def test_what_cannot_be_read_is_refused_with_the_reason(
+def test_unreadable_frames_are_refused_with_the_reason(
     cast, condition, severity, reason
 ):
     frames = scored(cast, condition, severity)
@@ -109,9 +109,7 @@ def test_what_cannot_be_read_is_refused_with_the_reason(
     assert refused["reason"].str.contains(reason).mean() > 0.5
 
 
-def test_a_wrong_line_is_refused_and_would_be_accepted_without_the_quality_checks(
-    cast, monkeypatch
-):
+def test_only_the_quality_checks_refuse_wrong_lines(cast, monkeypatch):
     """The quality checks refuse wrong lines that would otherwise be accepted.
 
     Three films mislead. Of 36 frames, 3 lines are 8 px off and more without the quality
@@ -140,7 +138,7 @@ def test_a_tip_out_of_view_is_never_read(cast):
     assert not found.readings["valid"][outside].any()
 
 
-def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
+def test_a_film_is_stabilised_to_a_tenth_of_a_pixel(cast):
     """A film is stabilised to a tenth of a pixel.
 
     The reference is where the camera really looked. A scatter of 0.07 px was measured,
@@ -159,7 +157,7 @@ def test_a_film_is_steadied_to_a_tenth_of_a_pixel(cast):
     assert np.abs(off.mean(axis=0)).max() < 3 * sway
 
 
-def test_flicker_is_measured_and_a_steady_film_is_left_alone(cast):
+def test_flicker_is_corrected_and_a_steady_film_is_unchanged(cast):
     flickering, _ = stabilise_film(film_shot(cast.shot, [Flicker(0.2)], seed=1))
     true = 1 + 0.2 * np.sin(2 * np.pi * 101.3 * cast.shot.frame_times + 0.5)
     np.testing.assert_allclose(
@@ -184,7 +182,7 @@ def test_the_wall_behind_a_passing_shadow_is_bright():
     assert scene[20, 35] == pytest.approx(60, abs=1)
 
 
-def test_quality_measures_are_what_they_say():
+def test_quality_measures_have_their_defined_values():
     mask = rasterise(np.array([[10.0, 30.0], [90.0, 30.0]]), (60, 100), 3) // 255
     branch = rasterise(np.array([[50.0, 30.0], [50.0, 58.0]]), (60, 100), 3) // 255
     points = np.stack([np.arange(10.0, 91.0), np.full(81, 30.0)], axis=-1)
@@ -194,7 +192,7 @@ def test_quality_measures_are_what_they_say():
     assert longest_run(np.array([1, 1, 0, 1, 1, 1], bool), np.full(6, 2.0)) == 6
 
 
-def test_conditions_move_the_truth_along(cast):
+def test_conditions_transform_the_truth_with_the_picture(cast):
     """Conditions change the truth with the picture.
 
     A loop and a turn change directions, not lengths, and the film shows the truth.
@@ -210,7 +208,7 @@ def test_conditions_move_the_truth_along(cast):
         assert np.abs(posed.truth[:, -1] - cast.shot.truth[:, -1]).max() > 0.02
 
 
-def test_scores_say_how_far_off_a_line_is(cast, tmp_path):
+def test_scores_measure_the_distance_of_a_line(cast, tmp_path):
     """Scores state how far off a line is.
 
     Points moved by 4 px along u, with a correct tip, are wrong by that distance.

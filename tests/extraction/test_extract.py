@@ -27,7 +27,7 @@ STRIPS = (
 )
 
 
-def misses(points, trial, true, camera):
+def distances_from_truth(points, trial, true, camera):
     """Return distances of the points from the true curve, by frame, and of the tips.
 
     Both are in pixels.
@@ -57,7 +57,7 @@ def short_swing(filmed):
 
 
 @pytest.mark.parametrize("name", ["A", "D"])
-def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
+def test_centreline_and_tip_are_read_in_the_virtual_lab(filmed, arm, camera, name):
     """Centreline and tip are read within their limits on the virtual lab.
 
     The limits are 1 px RMS, and 3 px at the tip, on at least 98 % of all frames,
@@ -67,7 +67,7 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
     found = extract(
         footage_from_joints(trial.film, arm), camera, string_length=0.3, **SETTINGS
     )
-    across, tips = misses(found, trial, true, camera)
+    across, tips = distances_from_truth(found, trial, true, camera)
     total = len(trial.frames)
     assert sum(a < 1 for a in across.values()) >= 0.98 * total
     assert sum(a < 3 for a in tips.values()) >= 0.98 * total
@@ -86,7 +86,7 @@ def test_centreline_and_tip_on_the_virtual_lab(filmed, arm, camera, name):
         ),
     ],
 )
-def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
+def test_fast_casts_are_read(filmed, arm, camera, name, duration):
     """Fast casts are read within the same limits.
 
     At 26 m/s blur is 9 px, and tips are in front of the arm and along its outline.
@@ -112,7 +112,7 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
         found = extract(
             footage_from_joints(trial.film, arm), camera, string_length=0.3, **SETTINGS
         )
-        across, tips = misses(found, trial, true, camera)
+        across, tips = distances_from_truth(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
         off += [tips[i] / sigma[i] for i in tips]
         near = near + sum(a < 1 for a in across.values())
@@ -127,7 +127,7 @@ def test_fast_casts_are_read_too(filmed, arm, camera, name, duration):
     assert np.mean(np.array(off) > 4) < 0.1
 
 
-def test_what_cannot_be_read_is_refused_with_the_reason(short_swing, arm, camera):
+def test_unreadable_frames_are_refused_with_the_reason(short_swing, arm, camera):
     trial, _ = short_swing
     footage = footage_from_joints(trial.film, arm)
     images = list(footage.images)
@@ -152,7 +152,7 @@ def test_what_cannot_be_read_is_refused_with_the_reason(short_swing, arm, camera
     ).any()
 
 
-def test_a_tip_beyond_the_picture_is_not_guessed(short_swing, arm, camera):
+def test_a_tip_outside_the_picture_is_not_extrapolated(short_swing, arm, camera):
     """A tip beyond the picture is not guessed.
 
     Nearly all of the string's length is seen, but the visible end is the picture's
@@ -172,7 +172,7 @@ def test_a_tip_beyond_the_picture_is_not_guessed(short_swing, arm, camera):
 
 
 @pytest.mark.parametrize("step", [1, 2, 3])
-def test_score_map_is_repeated_dilation(step):
+def test_score_map_equals_repeated_dilation(step):
     """The score map is repeated dilation.
 
     This is Section IV-B word for word: dilate, and score one less each time.
@@ -195,7 +195,7 @@ def test_score_map_is_repeated_dilation(step):
     ("name", "length"),
     [("75mm_2", 0.075), pytest.param("125mm_1", 0.125, marks=pytest.mark.long)],
 )
-def test_real_footage_agrees_with_its_table(name, length):
+def test_real_footage_agrees_with_its_published_table(name, length):
     table = pd.read_parquet(STRIPS / "points.parquet").query("trial == @name")
     film = cv2.VideoCapture(str(STRIPS / "videos" / f"{name}.mp4"))
     images = []
@@ -229,7 +229,7 @@ def test_real_footage_agrees_with_its_table(name, length):
     assert np.sqrt(np.mean(np.square(away))) < 1.5e-3
 
 
-def test_a_string_drawn_by_its_own_weight_has_its_arc_lengths_where_they_are():
+def test_arc_lengths_on_a_string_stretched_by_its_weight_are_correct():
     """A string stretched by its own weight has correct arc lengths.
 
     Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) / EA

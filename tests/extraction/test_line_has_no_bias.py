@@ -92,7 +92,7 @@ def read_lines(images, starts):
 @pytest.mark.parametrize(
     ("width", "contrast"), [(1.4, 160.0), (1.4, 60.0), (4.0, 160.0)]
 )
-def test_a_straight_line_is_read_where_it_is(width, contrast):
+def test_a_straight_line_is_read_without_bias(width, contrast):
     """The mean error vanishes along the line, across it, and in x and y.
 
     Cutting the light at twice the noise made a faint line 0.1 px short.
@@ -112,7 +112,7 @@ def test_a_straight_line_is_read_where_it_is(width, contrast):
     assert (np.abs(by_direction.mean(axis=1)) < 0.03 + 3 * standard_error).all()
 
 
-def test_the_end_of_a_bent_line_is_read_along_its_bend():
+def test_the_end_of_a_bent_line_is_extended_along_its_bend():
     """The tip of an arc of 25 px radius is read where it is.
 
     Its last width is not read but extended: straight on from its last 12 px, it is 1 px
@@ -140,8 +140,8 @@ def test_the_end_of_a_bent_line_is_read_along_its_bend():
     assert abs(np.mean(inward)) < 0.1
 
 
-def test_mirrored_pictures_are_read_as_mirrored_lines():
-    """What differs between left and right or up and down is not of the reading."""
+def test_mirrored_pictures_give_mirrored_lines():
+    """Reading does not distinguish left from right, or up from down."""
     starts, directions = straight_lines(seed=3)
     images = pictures(starts, directions, 1.4, 160.0, 4)
     lines = read_lines(images, starts)
@@ -157,7 +157,7 @@ def test_mirrored_pictures_are_read_as_mirrored_lines():
         assert np.abs(back - lines).max() < 0.2
 
 
-def test_a_line_along_which_nothing_is_lit_is_not_read():
+def test_a_line_without_light_is_refused():
     """Noise makes dark pixels darker than the wall."""
     dark = SegmentedFrame(
         np.full((SIZE_PX, SIZE_PX), -3.0, np.float32),
@@ -171,7 +171,7 @@ def test_a_line_along_which_nothing_is_lit_is_not_read():
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("wrong", [np.nan, 1e30])
-def test_the_lab_draws_what_is_left_of_a_string_that_diverged(wrong):
+def test_the_lab_draws_the_finite_part_of_a_diverged_string(wrong):
     line = np.column_stack([np.linspace(10.0, 50.0, 21), np.full(21, 30.0)])
     line[15:] = wrong
     drawn = strip_coverage((64, 64), line, 2.0)
@@ -181,7 +181,7 @@ def test_the_lab_draws_what_is_left_of_a_string_that_diverged(wrong):
 
 
 @pytest.mark.parametrize("width", [1.4, 4.0])
-def test_the_lab_draws_a_string_over_the_area_that_it_covers(width):
+def test_the_lab_draws_the_area_covered_by_a_string(width):
     """Light, its middle and its ends are those of a flat strip.
 
     OpenCV's lines of this kind end 0.1 to 0.4 px later, depending on the direction.

@@ -1,4 +1,4 @@
-"""What is said of a film in which few frames were read."""
+"""Messages about films in which few frames were read."""
 
 import ast
 from pathlib import Path
@@ -18,12 +18,12 @@ def readings(reasons):
     return pd.DataFrame({"valid": [not r for r in reasons], "reason": reasons})
 
 
-def test_a_film_that_was_mostly_read_needs_no_word():
+def test_a_mostly_read_film_needs_no_message():
     assert describe_poor_reading(readings(["", "", "no string in view"])) == ""
     assert describe_poor_reading(readings([])) == ""
 
 
-def test_the_commonest_reason_is_named_with_its_remedy():
+def test_the_commonest_reason_is_reported_with_its_remedy():
     longer, hidden = "the line is longer than the string", "no string in view"
     sentence = describe_poor_reading(readings(["", longer, hidden, longer]))
     assert "only 1 of 4 frames" in sentence
@@ -32,13 +32,13 @@ def test_the_commonest_reason_is_named_with_its_remedy():
     assert "+experiment=align" in sentence
 
 
-def test_a_reason_of_another_reader_has_no_remedy():
+def test_an_unknown_reason_has_no_remedy():
     sentence = describe_poor_reading(readings(["fog", "fog"]))
     assert "fog" in sentence
     assert "Remedy" not in sentence
 
 
-def test_an_arm_elsewhere_is_described_in_mm_and_degrees():
+def test_a_displaced_arm_is_described_in_mm_and_degrees():
     plain = readings(["", ""])
     assert describe_arm_misfit(plain) == ""
     moved = plain.assign(hand_shift=[0.01, 0.029], joint_error=[0.05, 0.0942])

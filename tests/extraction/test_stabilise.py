@@ -24,7 +24,7 @@ def swinging(wall, width):
         ).astype(np.uint8)
 
 
-def test_a_strip_that_swings_is_no_tremble():
+def test_a_swinging_strip_is_not_mistaken_for_camera_shake():
     """A strip that swings is not mistaken for camera shake.
 
     Before a black wall the strip is all the texture there is. Without the check it
@@ -36,7 +36,7 @@ def test_a_strip_that_swings_is_no_tremble():
     assert not isinstance(steady, StabilisedImages) or not steady.shift.any()
 
 
-def test_a_tremble_behind_a_string_is_seen_all_the_same():
+def test_camera_shake_is_detected_behind_a_string():
     """Camera shake behind a string is detected.
 
     The wall has texture, and the camera stands at 0, 1 and 2 px in turn. Measured:

@@ -59,7 +59,7 @@ def errors_over_sigma(cast, cell):
     ("condition", "severity"),
     [("plain", 1), ("sensor noise", 3), ("cluttered wall", 2)],
 )
-def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severity):
+def test_the_stated_sigma_equals_the_error_of_a_coordinate(casts, condition, severity):
     """The stated sigma is the error of a coordinate.
 
     The standard deviation of the standardised error is 0.7 to 1.4, of the line and of
@@ -73,7 +73,7 @@ def test_the_stated_sigma_is_the_error_of_a_coordinate(casts, condition, severit
 
 
 @pytest.mark.skipif(not STRIPS.exists(), reason="real footage is not here")
-def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
+def test_the_stated_sigma_equals_the_scatter_in_time_on_real_strips():
     """The stated sigma is the scatter in time on real strips.
 
     Third differences over four frames, in which a strip at 240 fps moves smoothly, are
@@ -95,7 +95,7 @@ def test_the_stated_sigma_is_the_scatter_in_time_on_real_strips():
     assert 0.7 < np.sqrt(np.mean(rough[..., -1] ** 2)) < 1.4
 
 
-def test_sigma_grows_where_nothing_is_seen():
+def test_sigma_grows_in_hidden_parts():
     """Sigma grows where nothing is seen.
 
     A tenth of the line is hidden at its start. Its length is uncertain there, and its
@@ -111,7 +111,7 @@ def test_sigma_grows_where_nothing_is_seen():
     assert seen[-1] == pytest.approx(np.hypot(0.05, 0.2) / np.sqrt(2), rel=0.01)
 
 
-def test_a_strip_that_never_leaves_its_pixels_is_no_scene():
+def test_a_strip_that_never_moves_is_removed_from_the_scene():
     """A strip that never leaves its pixels is removed from the scene.
 
     It is covered as far as two thirds of its length, and all of it is removed. A

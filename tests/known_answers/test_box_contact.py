@@ -23,7 +23,7 @@ def depth(x, y, box=BOX):
     return a * b / np.hypot(np.hypot(a, b), 1e-30)
 
 
-def pushed(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
+def contact_force(x, y, vx=0.0, vy=0.0, stiffness=STIFFNESS, friction=0.0, loss=0.0):
     place = {name: BOX[name] for name in ("centre_x", "centre_y")}
     sides = BoxContact.derive_parameters(BOX["width"], BOX["height"])
     return np.array(
@@ -37,7 +37,7 @@ def throw_point(start, end, gravity=0.0, **how):
     """Return a mass point's state (x, y, vx, vy) at the time `end` [s]."""
 
     def law(_, y):
-        return np.concatenate([y[2:], pushed(*y, **how) + [0.0, -gravity]])
+        return np.concatenate([y[2:], contact_force(*y, **how) + [0.0, -gravity]])
 
     return solve_ivp(
         law, (0, end), start, method="DOP853", rtol=1e-10, atol=1e-12, max_step=2e-3
@@ -53,21 +53,21 @@ def inside():
     return np.array([[BOX["centre_x"]], [BOX["centre_y"]]]) + way * half
 
 
-def test_the_push_is_the_slope_of_its_potential_and_points_outwards(inside):
+def test_the_force_is_the_gradient_of_its_potential_and_points_outwards(inside):
     x, y = inside
     h = 1e-7
     energy = lambda x, y: STIFFNESS / 2 * depth(x, y) ** 2  # noqa: E731
     slope = [energy(x + h, y) - energy(x - h, y), energy(x, y + h) - energy(x, y - h)]
-    push = pushed(x, y)
+    push = contact_force(x, y)
     np.testing.assert_allclose(
         push, -np.array(slope) / (2 * h), atol=1e-4 * np.abs(push).max()
     )
     assert (push * (inside - [[BOX["centre_x"]], [BOX["centre_y"]]])).min() >= 0
-    assert np.abs(pushed(x + BOX["width"], y)).max() == 0
-    assert np.abs(pushed(x, y + BOX["height"])).max() == 0
+    assert np.abs(contact_force(x + BOX["width"], y)).max() == 0
+    assert np.abs(contact_force(x, y + BOX["height"])).max() == 0
 
 
-def test_the_step_is_bounded_by_how_steep_the_push_is(inside):
+def test_the_step_bound_covers_the_stiffness_of_the_contact(inside):
     """The step is bounded by the steepness of the push.
 
     The largest eigenvalue of its slopes is the stiffness behind a side, and smaller
@@ -75,7 +75,10 @@ def test_the_step_is_bounded_by_how_steep_the_push_is(inside):
     """
     x, y = inside
     h = 1e-7
-    columns = [pushed(x + h, y) - pushed(x - h, y), pushed(x, y + h) - pushed(x, y - h)]
+    columns = [
+        contact_force(x + h, y) - contact_force(x - h, y),
+        contact_force(x, y + h) - contact_force(x, y - h),
+    ]
     steepest = np.linalg.eigvalsh(-np.array(columns).transpose(2, 0, 1) / (2 * h)).max()
     declared, _ = BoxContact.bound(stiffness=STIFFNESS, friction=0.0, loss=0.0, **BOX)
     assert steepest == pytest.approx(declared, rel=0.01)
@@ -90,7 +93,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize("side", WAYS)
-def test_a_bounce_off_a_side_gives_back_what_it_took(side):
+def test_a_bounce_off_a_side_conserves_energy(side):
     """A bounce off a side returns all of its energy.
 
     It is mirrored but for the turn by the edge 20 mm away. At 1.5 mm depth, the
@@ -104,8 +107,8 @@ def test_a_bounce_off_a_side_gives_back_what_it_took(side):
 
 
 @pytest.mark.parametrize("side", WAYS)
-def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
-    """With loss the rebound is as slow as Hunt and Crossley say.
+def test_the_rebound_with_loss_follows_hunt_and_crossley(side):
+    """The rebound with loss has the speed of Hunt and Crossley.
 
     The integral of v dv / (1 - a v) over the depth gives logarithms. Along the side
     nothing is lost.
@@ -121,15 +124,15 @@ def test_with_loss_it_leaves_as_slowly_as_hunt_and_crossley_say(side):
     assert end[3 - across] == pytest.approx(start[3 - across], abs=0.03)
 
 
-def test_no_push_ever_pulls(inside):
+def test_the_contact_force_never_pulls(inside):
     """No push ever pulls, however fast a point leaves, and however lossy the box."""
     outwards = np.sign(inside - [[BOX["centre_x"]], [BOX["centre_y"]]])
-    assert (pushed(*inside, *(20 * outwards), loss=0.5) == 0).all()
-    assert (pushed(*inside, *(-20 * outwards), loss=0.5) * outwards >= 0).all()
+    assert (contact_force(*inside, *(20 * outwards), loss=0.5) == 0).all()
+    assert (contact_force(*inside, *(-20 * outwards), loss=0.5) * outwards >= 0).all()
 
 
 @pytest.mark.parametrize("offset", [-0.02, -0.004, 0.0, 0.001, 0.02])
-def test_a_bounce_off_an_edge_gives_back_what_it_took(offset):
+def test_a_bounce_off_an_edge_conserves_energy(offset):
     """A bounce off an edge returns all of its energy.
 
     Points are thrown at 45 degrees at the upper right edge and next to it.
@@ -160,7 +163,7 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
         place = np.array([[0.33], [-0.15]]) + np.stack([beside, -beside]) + 0.03 * way
         velocity = -speed * way
         for _ in range(round(0.03 / step)):
-            velocity = velocity + step * pushed(*place, stiffness=1e6)
+            velocity = velocity + step * contact_force(*place, stiffness=1e6)
             place = place + step * velocity
         errors.append(np.sqrt(np.mean(((velocity**2).sum(axis=0) / speed**2 - 1) ** 2)))
     assert errors[0] < 1e-3
@@ -177,7 +180,7 @@ def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
     assert np.abs(end[2:]).max() < 1e-3
 
 
-def test_a_mass_that_slides_on_top_is_slowed_by_the_friction_coefficient():
+def test_a_sliding_mass_decelerates_by_the_friction_coefficient():
     """A mass that slides on top is slowed by the friction coefficient.
 
     dv/dt = -mu g, less 1 % at speeds well above that of its smooth beginning.
@@ -231,7 +234,7 @@ def swing_string(boxes, t, **how):
     )
 
 
-def ledger(points, t, boxes, stiffness):
+def energy_with_contact(points, t, boxes, stiffness):
     """Return the energy over the mass of a point, (F,) [m^2/s^2].
 
     It is that of speed, height, stretch, bending and depth.
@@ -259,9 +262,7 @@ def free_string():
     [{}, {"loss": 0.2}, {"friction": 0.3}],
     ids=lambda how: next(iter(how), "neither"),
 )
-def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(
-    free_string, how
-):
+def test_a_string_between_two_boxes_stays_outside_and_gains_no_energy(free_string, how):
     """A string swung between two boxes stays outside and gains no energy.
 
     Its middle is caught by one box, its tip bounces off the other.
@@ -278,7 +279,7 @@ def test_a_string_swung_between_two_boxes_stays_outside_and_gains_no_energy(
         deep = depth(*points.T, box).T
         assert 1e-3 < deep.max() < speed[deep > 0].max() / np.sqrt(stiffness)
         assert depth(*free_string.T, box).max() > 5 * deep.max()
-    energy = ledger(points, t, boxes, stiffness)[(t > 0.26) & (t < 0.795)]
+    energy = energy_with_contact(points, t, boxes, stiffness)[(t > 0.26) & (t < 0.795)]
     if how:
         assert energy[0] - energy[-1] > 0.04
         assert (energy - np.minimum.accumulate(energy)).max() < 3e-4

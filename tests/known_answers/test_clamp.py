@@ -122,7 +122,7 @@ def test_a_straight_string_passes_through_the_stated_grasp():
         )  # the stretch is 0.06 mm
 
 
-def test_a_clamp_changes_nothing_beside_it():
+def test_a_clamp_does_not_change_other_candidates():
     """A candidate with a clamp changes no other candidate in the least.
 
     Candidates that are simulated together begin at different places.
@@ -137,7 +137,7 @@ def test_a_clamp_changes_nothing_beside_it():
         np.testing.assert_array_equal(together[number], alone)
 
 
-def test_what_is_told_along_the_string_is_told_from_where_it_begins():
+def test_properties_along_the_string_count_from_its_beginning():
     """Properties along the string count from its physical beginning.
 
     Density that falls to the tip, rest curvature and a hanging weight act as in the
@@ -157,7 +157,7 @@ def test_what_is_told_along_the_string_is_told_from_where_it_begins():
     np.testing.assert_allclose(found, real, atol=1e-6)
 
 
-def test_a_motion_goes_on_from_a_state_that_is_told_from_the_stated_grasp():
+def test_a_motion_continues_from_a_state_given_from_the_stated_grasp():
     """A motion continues from a state that counts from the stated grasp.
 
     The string is held firmly, and started from its state after 0.1 s.

@@ -223,7 +223,7 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 
 
 @pytest.mark.parametrize("hardening", [-5e-3, -3e-4, 5e-3])
-def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
+def test_softening_bending_moments_never_decrease(hardening):
     """Bending moments never fall, however soft the string becomes.
 
     Softening comes near to stiffness / (2 sqrt(-hardening)). The string yields, and
@@ -247,9 +247,7 @@ def test_bending_moments_never_fall_however_soft_the_string_becomes(hardening):
         ("nonlinear_bending.hardening", -2e-3),
     ],
 )
-def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_make_of_it(
-    name, value
-):
+def test_an_implicit_step_handles_a_steep_moment_like_small_explicit_steps(name, value):
     """An implicit step handles a steep moment as small explicit steps do.
 
     The swing would need 5 to 8 times the steps if it were explicit. Noise is 0.7 mm.
@@ -306,7 +304,7 @@ def test_a_steep_moment_costs_an_implicit_step_nothing_and_is_what_small_steps_m
     assert off[1] < 0.25 * off[0]
 
 
-def test_tilted_gravity_is_the_whole_experiment_turned():
+def test_tilted_gravity_equals_a_rotated_experiment():
     t = np.arange(0, 0.4, 0.005)
     pose = waving_pose(t, 0.1, 0.3)
     tilt = 0.25
@@ -337,7 +335,7 @@ def test_tilted_gravity_is_the_whole_experiment_turned():
 FLOOR = {"contact.stiffness": 2e4, "contact.height": -0.2}
 
 
-def test_a_floor_carries_what_lies_on_it():
+def test_a_floor_carries_the_part_that_lies_on_it():
     """A floor carries the part of the string that lies on it.
 
     The floor pushes with the weight of that part. It is all but what still hangs from
@@ -356,7 +354,7 @@ def test_a_floor_carries_what_lies_on_it():
     assert carried == pytest.approx(LENGTH - 0.2, rel=0.1)
 
 
-def test_the_engine_leaves_a_string_on_the_floor_alone():
+def test_a_string_at_rest_on_the_floor_stays_at_rest():
     """The engine leaves a string at rest on the floor.
 
     Statics and dynamics have the same floor. (A string straight above it would stand,
@@ -380,7 +378,7 @@ def test_the_engine_leaves_a_string_on_the_floor_alone():
 
 
 @pytest.mark.parametrize(("loss", "tilt"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.1)])
-def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
+def test_a_bounce_never_gains_energy(loss, tilt):
     """A bounce returns the energy it took, and never more.
 
     A mass on the plane leaves without loss as fast as it came. With loss it is slower,
@@ -410,9 +408,7 @@ def test_a_bounce_gives_back_what_it_took_and_never_more(loss, tilt):
 
 
 @pytest.mark.parametrize(("dt", "within"), [(1e-3, 0.5), (1e-4, 0.1), (1e-5, 0.1)])
-def test_friction_brakes_a_hard_impact_by_its_share_and_turns_no_slide_round(
-    dt, within
-):
+def test_friction_brakes_a_hard_impact_and_reverses_no_slide(dt, within):
     """Friction brakes a hard impact by its share, and reverses no slide.
 
     At any step a mass loses friction times the impulse of the plane. That is friction
@@ -483,7 +479,7 @@ WAVES = np.stack(
 
 
 @pytest.mark.parametrize("constant", [1e-3, 0.02, 0.1])
-def test_lag_is_the_differential_equation_of_first_order(constant):
+def test_lag_solves_the_first_order_differential_equation(constant):
     spline = CubicSpline(T, WAVES[0], bc_type="natural")
     exact = solve_ivp(
         lambda t, y: (spline(t) - y) / constant,
@@ -498,7 +494,7 @@ def test_lag_is_the_differential_equation_of_first_order(constant):
     np.testing.assert_allclose(found, exact.y.T, atol=1e-7)
 
 
-def test_a_ramp_is_followed_at_a_distance():
+def test_a_ramp_is_followed_with_a_constant_lag():
     """A ramp is followed at a distance.
 
     The distance u - y is v tau (1 - exp(-t / tau)), for two candidates together.
@@ -509,7 +505,7 @@ def test_a_ramp_is_followed_at_a_distance():
     np.testing.assert_allclose(behind, 2.0 * np.array([0.01, 0.05]), rtol=1e-3)
 
 
-def test_a_hand_that_lags_arrives_while_it_rests():
+def test_a_lagging_hand_arrives_during_rest():
     """A hand that lags arrives while it rests.
 
     From its log's last sample on it nears its goal as exp(-t / tau). No log is made
@@ -532,7 +528,7 @@ def test_a_hand_that_lags_arrives_while_it_rests():
     assert motion.extended_until(60.0).end == pytest.approx(motion.end + MAX_LAG_S)
 
 
-def test_play_leaves_a_joint_where_it_is_at_reversals():
+def test_a_joint_with_play_rests_at_reversals():
     """Play leaves a joint where it is at reversals.
 
     It turns half its gap less to either side, and stands still over a whole gap after
@@ -556,7 +552,7 @@ def hand_model(*names, points=10):
     )
 
 
-def grasped(motion: HandMotion, **named) -> HandMotion:
+def actual_grasp_motion(motion: HandMotion, **named) -> HandMotion:
     model = hand_model(*{name.split(".")[0]: None for name in named})
     return model.hand_motion(motion, model.values(named)[None])
 
@@ -566,9 +562,9 @@ POSE = np.stack(
 )
 
 
-def test_a_string_held_askew_leaves_the_hand_at_that_angle():
+def test_a_string_leaves_the_hand_at_the_grasp_angle():
     plain = resample_hand_motion(T, POSE)
-    found = grasped(plain, **{"grasp_angle.angle": 0.4})
+    found = actual_grasp_motion(plain, **{"grasp_angle.angle": 0.4})
     np.testing.assert_allclose(
         found.pose - plain.pose,
         np.broadcast_to([0, 0, 0.4], plain.pose.shape),
@@ -577,9 +573,9 @@ def test_a_string_held_askew_leaves_the_hand_at_that_angle():
     np.testing.assert_allclose(found.rate, plain.rate, atol=1e-9)
 
 
-def test_a_string_that_slips_comes_out_along_the_grasp():
+def test_a_slipping_string_moves_along_the_grasp():
     plain = resample_hand_motion(T, POSE)
-    found = grasped(
+    found = actual_grasp_motion(
         plain,
         **{
             "grasp_slip.speed": 0.1,
@@ -602,7 +598,7 @@ def test_a_string_that_slips_comes_out_along_the_grasp():
     assert GraspSlip.parameters[0].start == 0.0
 
 
-def test_a_gain_turns_joints_about_where_they_began(arm, camera):
+def test_a_gain_scales_turns_from_the_first_angle(arm, camera):
     from stringcast.stages.model.hand import resample_joint_motion
 
     model = Model(String(LENGTH), arm, camera).with_effects(
@@ -620,13 +616,13 @@ def test_a_gain_turns_joints_about_where_they_began(arm, camera):
     )
 
 
-def test_what_acts_on_joints_is_refused_where_only_the_grasp_is_known():
+def test_effects_on_joints_need_joint_angles():
     from stringcast.data.schema import DataError
 
     with pytest.raises(
         DataError, match=r"'backlash' acts on joint angles.*Add arm.parquet"
     ):
-        grasped(resample_hand_motion(T, POSE), **{"backlash.gap_1": 0.01})
+        actual_grasp_motion(resample_hand_motion(T, POSE), **{"backlash.gap_1": 0.01})
 
 
 # --- clocks and camera
@@ -654,7 +650,7 @@ def views(*names):
         ("clock_drift.rate", -0.02, lambda t: 0.98 * t),
     ],
 )
-def test_other_clocks_show_the_string_at_other_moments(name, size, there):
+def test_clock_effects_shift_the_times_of_the_string(name, size, there):
     """Other clocks show the string at other moments.
 
     Each candidate has times of its own, and is the same whatever the others.
@@ -683,7 +679,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_cameras_that_are_not_what_they_are_taken_for(name):
+def test_camera_effects_transform_points_as_defined(name):
     """Cameras that differ from their description are modelled.
 
     Pixels of the real camera are read with the described one.
@@ -699,7 +695,7 @@ def test_cameras_that_are_not_what_they_are_taken_for(name):
     )
 
 
-def test_a_rolled_camera_turns_the_picture_about_its_middle():
+def test_a_rolled_camera_rotates_the_picture_about_its_centre():
     model, known, motion = views("camera_rotation")
     t = np.linspace(0, 0.9, 7)
     values = model.values(known | {"camera_rotation.angle": 0.1})[None]
@@ -745,7 +741,7 @@ def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
     np.testing.assert_allclose(falling, line + when * np.array([1.0, -4.0]), atol=1e-12)
 
 
-def test_the_camera_knows_how_fast_the_string_goes():
+def test_the_rolling_shutter_uses_the_velocity_of_the_string():
     """The camera accounts for the speed of the string.
 
     A rolling shutter shows the string at the moments of its rows, to second order in
@@ -778,7 +774,7 @@ CAMERA_EFFECTS = {
 
 
 @pytest.mark.parametrize("name", CAMERA_EFFECTS)
-def test_velocity_is_simulated_exactly_if_what_is_seen_depends_on_it(name, monkeypatch):
+def test_velocity_is_simulated_only_if_observed_points_depend_on_it(name, monkeypatch):
     effect = CAMERA_EFFECTS[name]
     model, known, motion = views(name)
     high = {f"{name}.{p.name}": p.high for p in effect.parameters}
@@ -792,7 +788,7 @@ def test_velocity_is_simulated_exactly_if_what_is_seen_depends_on_it(name, monke
     assert np.array_equal(seen[True], seen[False]) is not effect.uses_velocity
 
 
-def test_more_mass_points_are_nearer_to_the_string():
+def test_more_mass_points_reduce_the_error():
     coarse, known, motion = views()
     t = np.linspace(0, 0.9, 31)
 
@@ -806,7 +802,7 @@ def test_more_mass_points_are_nearer_to_the_string():
     assert near < 0.6 * far
 
 
-def test_the_last_of_equal_points_is_half_a_segment_too_much():
+def test_the_last_of_equal_points_has_half_a_segment_too_much():
     """The last of equal points has half a segment too much mass.
 
     A chain of Eq. 1 is one with half a point at its end. The excess of its number of

@@ -47,7 +47,7 @@ def simulated(values):
     [STRING.values(B | AIR), STRING.values(SOFT | AIR), WIDE],
     ids=["B", "soft", "wide"],
 )
-def test_the_engine_is_equation_1_to_rounding(values):
+def test_the_engine_equals_equation_1_to_rounding(values):
     """The engine is Equation 1 to rounding.
 
     At every tick of a trial of 1.5 s the difference is below 9e-13 m as measured.

@@ -34,7 +34,7 @@ def still(theta):
     return resample_hand_motion(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
 
 
-def test_it_hangs_at_rest_as_if_nothing_held_it():
+def test_a_rod_at_rest_hangs_without_friction():
     """The rod hangs at rest as if nothing held it.
 
     This holds for any direction of the jaws, and the rod stays there.
@@ -44,7 +44,7 @@ def test_it_hangs_at_rest_as_if_nothing_held_it():
     np.testing.assert_allclose(tip, np.tile([0.0, -LENGTH], (20, 1)), atol=1e-4)
 
 
-def test_it_swings_down_by_as_much_from_swing_to_swing():
+def test_dry_friction_reduces_each_swing_by_the_same_amount():
     """The rod's swing falls by the same amount each time.
 
     W (cos b - cos a) = cap (a + b - 2 slip) from one end a to the next, b. That is

@@ -47,13 +47,13 @@ def test_the_box_is_0_02_by_0_04(dx, dy, hit):
     assert verdict.distance == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
 
-def test_only_the_movement_counts():
+def test_only_readings_during_the_movement_count():
     t = np.arange(-0.2, 0.4, 0.005)
     inside = np.where((t < -0.05) | (t > 0.25), 0.5, 0.8)
     assert not hit_test(readings_of_tip(t, inside, 0.5 + 0 * t), BOX, (), 0.2).hit
 
 
-def test_nothing_is_guessed_in_a_gap():
+def test_a_gap_in_the_readings_is_not_interpolated():
     t = np.arange(0, 0.1, 0.005)
     x = 0.3 + 4 * t
     x[(x > 0.4) & (x < 0.6)] = np.nan
@@ -63,19 +63,19 @@ def test_nothing_is_guessed_in_a_gap():
     assert not hit_test(readings_of_tip(t[:1], x[:1], t[:1]), BOX, (), 0.1).hit
 
 
-def test_a_tip_seen_only_outside_the_movement_has_no_distance():
+def test_a_tip_read_only_outside_the_movement_has_no_distance():
     t = np.array([0.3, 0.305, 0.31])
     verdict = hit_test(readings_of_tip(t, t, t), BOX, (), 0.2)
     assert not verdict.hit
     assert np.isnan(verdict.distance)
 
 
-def test_a_slow_camera_can_see_a_hit():
+def test_a_slow_camera_can_detect_a_hit():
     t = np.arange(0, 1, 1 / 30)
     assert hit_test(readings_of_tip(t, 0.3 + 0.4 * t, 0.5 + 0 * t), BOX, (), 1.0).hit
 
 
-def test_a_string_that_touches_an_obstacle_on_its_way_has_not_hit():
+def test_a_string_that_touches_an_obstacle_first_has_not_hit():
     """A string that touches an obstacle on its way has not hit.
 
     A straight string of three points sweeps to the right. A wall stands where it passes
@@ -163,7 +163,7 @@ def test_speed_and_direction_of_a_straight_flight(angle):
         ({"direction": 3.1, "speed": 10.5}, False),
     ],
 )
-def test_the_tip_must_arrive_as_wanted(wanted, hit):
+def test_the_tip_must_arrive_with_the_required_direction_and_speed(wanted, hit):
     target = replace(BOX, **wanted)
     verdict = hit_test(flight(3.1, 8.0), target, (), 0.1)
     assert verdict.hit == hit
@@ -172,7 +172,7 @@ def test_the_tip_must_arrive_as_wanted(wanted, hit):
     assert not hit_test(flight(3.1, 8.0), beside, (), 0.1).entered
 
 
-def test_of_two_passages_the_one_that_counts_is_reported():
+def test_the_reported_passage_is_the_one_that_hits():
     """The tip passes the centre upwards, and 5 mm beside it downwards."""
     t = np.arange(0, 0.2, 0.002)
     up = t < 0.1
@@ -189,7 +189,7 @@ def test_of_two_passages_the_one_that_counts_is_reported():
 
 
 @pytest.mark.parametrize(("x", "y"), [(-3.0, 0.2), (2.0, 0.7), (0.1, 9.0)])
-def test_the_target_that_is_proposed_instead_is_in_reach(arm, x, y):
+def test_the_proposed_alternative_target_is_reachable(arm, x, y):
     with pytest.raises(DataError, match="out of reach") as refusal:
         check_reach(replace(BOX, x=x, y=y), arm, 0.3)
     proposed = re.search(r"target\.x=(\S+) target\.y=(\S+)\. ", str(refusal.value))

@@ -36,7 +36,7 @@ def test_a_hanging_string_stretches_by_the_weight_below():
     )
 
 
-def test_the_papers_mass_points_carry_what_hangs_below_them():
+def test_the_papers_mass_points_carry_the_weight_below_them():
     """The paper's mass points carry what hangs below them.
 
     In Eq. 1, segment i stretches by g (n - i) / k_s, with all points of the same mass.
@@ -65,7 +65,7 @@ def test_a_stiff_string_sags_like_a_cantilever():
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.2])
-def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean):
+def test_a_string_from_an_upright_hand_hangs_on_the_side_of_its_turn(lean):
     """From a hand that points up, a string hangs on the side it turns to.
 
     It does so on either side, though one is the longer way. With a hand as far off to
@@ -85,7 +85,7 @@ def test_from_a_hand_that_points_up_a_string_hangs_on_the_side_it_turns_to(lean)
 
 
 @pytest.mark.parametrize("turn", [-8.3, 8.3])
-def test_a_limp_string_is_not_wound_about_its_hand(turn):
+def test_a_limp_string_does_not_wind_around_its_hand(turn):
     string = String(0.3, points=31, **SECOND_ORDER)
     named = STIFF | {"bending_stiffness": 0.05}
     angles, _ = hanging_shape(
@@ -97,7 +97,7 @@ def test_a_limp_string_is_not_wound_about_its_hand(turn):
     assert angles[0, -1] - np.pi / 2 == pytest.approx(np.sign(turn) * np.pi, abs=0.1)
 
 
-def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
+def test_a_limp_string_hangs_straight_down_at_any_grasp_angle():
     string = String(0.3, points=25)
     limp = STIFF | {"bending_stiffness": 8e-3, "grasp_stiffness": 1e-3}
     for theta in (-3.0, 0.0, 1.2, 1.5, 2.5):
@@ -109,7 +109,7 @@ def test_a_limp_string_hangs_straight_down_whatever_the_grasp():
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ImplicitLeapfrog()])
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
-def test_the_engine_leaves_the_equilibrium_alone(points, theta, integrator):
+def test_a_string_in_equilibrium_stays_at_rest(points, theta, integrator):
     """The engine leaves the equilibrium alone.
 
     Statics and dynamics are written apart. Neither may have a force that the other does
@@ -148,9 +148,7 @@ def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
 @pytest.mark.parametrize("hardness", [1e4, 1e6, 1e7])
 @pytest.mark.parametrize("plane", [FLOOR, WALL, SLOPE], ids=["floor", "wall", "slope"])
 @pytest.mark.parametrize("points", [10, 40])
-def test_the_engine_leaves_a_string_alone_that_leans_on_something(
-    points, plane, hardness
-):
+def test_a_string_that_leans_on_a_plane_stays_at_rest(points, plane, hardness):
     """The engine leaves a string that leans on something at rest.
 
     A thing as hard as a table gives way by less than a string stretches. Statics must
@@ -174,7 +172,7 @@ def test_the_engine_leaves_a_string_alone_that_leans_on_something(
     assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
 
 
-def test_a_floor_carries_what_the_hand_does_not():
+def test_hand_and_floor_carry_the_weight_together():
     """A floor carries what the hand does not.
 
     A limp string hangs under a hand 0.2 m above the floor. The part on the floor
@@ -190,7 +188,7 @@ def test_a_floor_carries_what_the_hand_does_not():
     assert (-0.2 - y[lying])[5:-1] == pytest.approx(9.81 / 1e7, rel=0.05)
 
 
-def test_what_one_string_leans_on_does_not_depend_on_its_company():
+def test_contact_of_one_candidate_does_not_depend_on_others():
     string = String(0.3, points=25, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
     values = np.stack(
         [string.values(against(p, h)) for p in (FLOOR, WALL, SLOPE) for h in (1e5, 8e6)]

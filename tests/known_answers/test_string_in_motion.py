@@ -23,7 +23,7 @@ QUIET = {
 }
 
 
-def nudged(t: np.ndarray, offset: np.ndarray) -> HandMotion:
+def sideways_hand_motion(t: np.ndarray, offset: np.ndarray) -> HandMotion:
     """Return the motion of a grasp that points down and moves sideways."""
     return resample_hand_motion(
         t, np.stack([offset, 0 * t, 0 * t - np.pi / 2], axis=-1)
@@ -41,7 +41,9 @@ def test_a_hanging_chain_swings_at_the_zeros_of_bessels_function(mode):
     expected = jn_zeros(0, mode)[-1] / 2 * np.sqrt(9.81 / 0.3)
     t = np.arange(0, 8, 0.005)
     drive = 1e-4 * np.sin(expected * t) * (t < 3 * 2 * np.pi / expected)
-    x = simulate(string, nudged(t, drive), string.values(QUIET)[None], t).tip[0, :, 0]
+    x = simulate(
+        string, sideways_hand_motion(t, drive), string.values(QUIET)[None], t
+    ).tip[0, :, 0]
     free = t > 3 * 2 * np.pi / expected + 0.1
     basis = np.stack([x[free] - x[free].mean()])
     assert frequency(t[free], basis[0]) == pytest.approx(
@@ -60,7 +62,7 @@ def test_a_rigid_string_on_a_free_hinge_is_a_physical_pendulum():
     x = (
         simulate(
             string,
-            nudged(t, 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))),
+            sideways_hand_motion(t, 1e-3 / (1 + np.exp(-(t - 0.3) / 0.05))),
             string.values(stiff)[None],
             t,
         ).tip[0, :, 0]
@@ -122,7 +124,7 @@ def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
 @pytest.mark.parametrize(
     ("integrator", "step"), [(RungeKutta4(), 5e-5), (ImplicitLeapfrog(), 1e-4)]
 )
-def test_energy_is_kept_without_damping_and_only_lost_with_it(
+def test_energy_is_conserved_without_damping_and_decreases_with_it(
     integrator: Integrator, step: float
 ):
     string = String(0.3, points=10, integrator=integrator, largest_step=step)
@@ -158,25 +160,30 @@ def test_energy_is_kept_without_damping_and_only_lost_with_it(
     assert np.all(np.diff(lost[5:-5]) < 1e-4 * moved)
 
 
-def test_runs_that_do_not_stay_finite_are_rejected_and_leave_the_others_alone():
+def test_diverging_candidates_are_rejected_and_do_not_affect_others():
     string = String(0.3)
     t = np.arange(0, 0.5, 0.005)
     good = string.values(QUIET)
     bad = good.copy()
     bad[string.names.index("axial_stiffness")] = np.nan
-    motion = simulate(string, nudged(t, 0.01 * t), np.stack([good, bad, good]), t)
+    motion = simulate(
+        string, sideways_hand_motion(t, 0.01 * t), np.stack([good, bad, good]), t
+    )
     assert motion.finite.tolist() == [True, False, True]
     assert np.isnan(motion.points[1]).all()
     np.testing.assert_array_equal(motion.points[0], motion.points[2])
 
 
-def test_what_is_lost_later_does_not_matter_before():
+def test_divergence_after_the_last_time_does_not_matter():
     """A candidate is judged by its own times alone.
 
     Other candidates may be simulated for longer, and diverge later.
     """
     t = np.arange(0, 1.5, 0.005)
-    hand, string = nudged(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)), String(0.3)
+    hand, string = (
+        sideways_hand_motion(t, np.where(t < 1.0, 0.02 * np.sin(6 * t), 1e5)),
+        String(0.3),
+    )
     early, late = np.linspace(0.0, 0.41, 50), np.linspace(0.0, 1.4, 50)
     alone = simulate(string, hand, string.values(QUIET)[None], early)
     both = simulate(

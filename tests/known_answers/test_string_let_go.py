@@ -59,7 +59,7 @@ def state_of(points, number, tick=T[1]):
 @pytest.mark.parametrize(
     "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
 )
-def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
+def test_a_released_rod_swings_as_a_pendulum(integrator, speed):
     """A released rod swings as a pendulum.
 
     The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, as of a thin rod. It
@@ -81,7 +81,7 @@ def test_a_rod_let_go_swings_as_a_pendulum(integrator, speed):
 @pytest.mark.parametrize(
     "integrator", [SemiImplicitEuler(), RungeKutta4(), ImplicitLeapfrog()]
 )
-def test_a_motion_goes_on_from_any_of_its_states(integrator):
+def test_a_motion_continues_from_any_of_its_states(integrator):
     """A motion continues from any of its states.
 
     The state is midway through a swing at 3 m/s; 0.15 mm are the strain that a state
@@ -95,7 +95,7 @@ def test_a_motion_goes_on_from_any_of_its_states(integrator):
     assert np.abs(rest - whole[100:]).max() < 3e-4
 
 
-def test_a_step_begins_where_its_velocities_are():
+def test_initial_velocities_are_corrected_for_the_lag():
     """A step begins where its velocities are.
 
     Steps of 0.5 ms and twice that are of second order. They are 2.8 and 8.6 um off; 295
@@ -113,7 +113,7 @@ def test_a_step_begins_where_its_velocities_are():
     assert np.abs(coarse - exact).max() < 1.5e-5
 
 
-def test_the_state_is_of_the_cameras_clock():
+def test_the_initial_state_is_given_on_the_cameras_clock():
     """The state is given by the camera's clock.
 
     A camera whose clock is off sees the same release at the same times of its own

@@ -144,7 +144,7 @@ def arguments_of_string(effect, rng):
     return known | effect.derive_parameters(**own)
 
 
-def arguments_elsewhere(effect, rng):
+def arguments_of_motion(effect, rng):
     """Sample a motion, frame times and points in view, one sample a candidate."""
     t = np.arange(60) * 0.005
     wave = np.cumsum(np.cumsum(rng.normal(size=(1, 60, 3)), axis=1), axis=1) * 0.02
@@ -165,7 +165,7 @@ def arguments_elsewhere(effect, rng):
 def samples(effect, seed):
     rng = np.random.default_rng(seed)
     return (
-        arguments_of_string if issubclass(effect, StringEffect) else arguments_elsewhere
+        arguments_of_string if issubclass(effect, StringEffect) else arguments_of_motion
     )(effect, rng)
 
 
@@ -175,7 +175,7 @@ def law_of(effect, name):
     return lambda known: np.asarray(law(**{a: known[a] for a in law_arguments(law)}))
 
 
-def test_the_library_holds_every_name_and_no_file_needs_an_entry():
+def test_the_library_finds_every_file_without_registration():
     assert set(NAMES) <= set(LIBRARY)
 
 
@@ -186,12 +186,12 @@ def test_the_library_holds_every_name_and_no_file_needs_an_entry():
 )
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_laws_keep_the_invariants_they_declare(effect, invariant, seed):
+def test_laws_satisfy_their_declared_invariants(effect, invariant, seed):
     assert invariant.error(law_of(effect, invariant.law), samples(effect, seed)) < 1e-9
 
 
 @pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
-def test_at_their_start_laws_add_nothing(effect):
+def test_laws_are_zero_at_their_start(effect):
     known = samples(effect, 0)
     still = {p.name: 0 * known[p.name] + p.start for p in effect.parameters}
     known |= still
@@ -262,7 +262,7 @@ def scales(effect) -> list[tuple[float, float]]:
 @pytest.mark.parametrize(
     ("effect", "law"), LAWS, ids=lambda each: getattr(each, "name", each)
 )
-def test_laws_do_not_depend_on_the_units_they_are_measured_in(effect, law):
+def test_laws_do_not_depend_on_the_system_of_units(effect, law):
     known = samples(effect, 1)
     slot = SLOTS.get(law)
     units = ELSEWHERE | (
@@ -317,7 +317,7 @@ def swings(arm, camera):
     return plain, plain.with_effects(*ADDED), moved, np.linspace(-0.05, 0.6, 66)
 
 
-def test_absent_is_present_with_zero(swings):
+def test_an_absent_effect_equals_a_present_one_at_its_start(swings):
     plain, full, motion, t = swings
     expected = plain.simulate_observation(motion, plain.values(NAMED)[None], t).points
     found = full.simulate_observation(motion, full.values(NAMED)[None], t).points
@@ -352,7 +352,7 @@ def test_every_parameter_moves_the_string_smoothly(swings, parameter):
     assert share < 0.02
 
 
-def test_strings_with_every_effect_at_once_stay_finite(swings):
+def test_strings_with_all_effects_stay_finite(swings):
     """Strings with every effect at once stay finite.
 
     Parameters are anywhere in all ranges, on a floor and a box below the hand. The
@@ -369,7 +369,7 @@ def test_strings_with_every_effect_at_once_stay_finite(swings):
     assert full.simulate_observation(motion, values, t).finite.all()
 
 
-def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swings):
+def test_the_step_bound_does_not_depend_on_the_origin(swings):
     """The bound of the step does not depend on the origin.
 
     The origin may lie behind a plane that absorbs impacts, or inside a box.
@@ -399,7 +399,7 @@ def test_how_small_a_step_must_be_does_not_depend_on_where_the_origin_is(swings)
 
 
 @pytest.mark.parametrize("effect", LIBRARY.values(), ids=lambda e: e.name)
-def test_effects_speak_and_draw(effect):
+def test_effects_have_descriptions_and_plots(effect):
     small, large = (
         {p.name: float(p.value(np.asarray(chi))) for p in effect.parameters}
         for chi in (0.6, 0.9)
@@ -418,7 +418,7 @@ def test_effects_speak_and_draw(effect):
 @pytest.mark.parametrize(
     ("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")]
 )
-def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
+def test_an_unusually_soft_plane_is_described_as_soft(stiffness, said):
     """A plane that is unusually soft is reported as soft.
 
     A mass sinks to the depth d with m g = k d.
@@ -428,7 +428,7 @@ def test_a_plane_that_nobody_would_call_one_is_said_to_be_soft(stiffness, said):
 
 
 @pytest.mark.parametrize("effect", ADDED, ids=lambda e: e.name)
-def test_parameters_have_bounds_around_their_absence(effect):
+def test_parameter_ranges_contain_their_start(effect):
     for p in effect.parameters:
         assert p.low <= p.start <= p.high
         # the first parameter may be absent at zero
@@ -461,7 +461,7 @@ def test_arguments_of_laws_are_known():
             assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
-def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swings):
+def test_effects_act_in_physical_order_independent_of_naming_order(swings):
     """Effects act in their physical order, whatever is named first.
 
     Gears play behind the motor. Where that turns 10 % too far, a joint is half its gap
@@ -482,7 +482,7 @@ def test_effects_act_as_they_stand_in_the_world_whatever_is_named_first(swings):
     )
 
 
-def test_an_effect_is_at_work_once(arm: Arm, camera: Camera):
+def test_an_effect_cannot_be_added_twice(arm: Arm, camera: Camera):
     model = Model(String(0.3), arm, camera).with_effects(LIBRARY["tip_mass"])
     for twice in ("tip_mass", "gravity"):
         with pytest.raises(ValueError, match=f"'{twice}' is active already"):

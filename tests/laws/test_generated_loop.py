@@ -67,7 +67,7 @@ def test_all_effects_of_the_library_need_three_loops():
     assert compiled_loops(prepared) == all_loops
 
 
-def test_what_is_compiled_together_changes_nothing_where_it_is_absent(monkeypatch):
+def test_absent_jointly_compiled_effects_change_nothing(monkeypatch):
     """An effect that is compiled but absent changes nothing.
 
     Some effects have a size each, and the others are absent. The loop of all agrees

@@ -16,7 +16,7 @@ PAGE = Path(effects.__file__).with_name("README.md")
 MAX_LINES = 50
 
 
-def test_the_law_of_the_page_runs_and_is_absent_at_its_start(effects_folder):
+def test_the_example_on_the_page_runs_and_is_absent_at_its_start(effects_folder):
     page = PAGE.read_text()
     assert len(page.splitlines()) <= MAX_LINES
     (source,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)

@@ -10,7 +10,7 @@ PARAMETERS = {
 }
 
 
-def test_units_in_the_kernel_are_those_of_equation_1():
+def test_the_kernel_uses_the_units_of_equation_1():
     """Units in the kernel are those of Equation 1.
 
     At n = 10 a law's material form is the paper's force per unit mass of a mass point.
@@ -32,7 +32,7 @@ def test_units_in_the_kernel_are_those_of_equation_1():
 
 
 @pytest.mark.parametrize("points", [10, 25])
-def test_the_papers_view_is_exact_at_its_own_n(points):
+def test_the_papers_units_are_exact_at_reference_points(points):
     """The paper's units are exact at its own n.
 
     With reference_points == points, what is given per mass point is what acts on it.

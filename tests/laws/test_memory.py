@@ -73,14 +73,14 @@ def work(path, moment):
     return np.cumsum(moment * np.diff(path, prepend=0.0))
 
 
-def test_every_law_with_memory_is_asked_here():
+def test_every_law_with_memory_is_tested_here():
     assert {e.name for e in HOLDING} == set(KNOWN)
 
 
 @pytest.mark.parametrize("name", KNOWN)
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_no_path_gets_more_out_of_a_hinge_than_it_put_in(name, seed):
+def test_no_path_extracts_energy_from_a_hinge(name, seed):
     """No path gets more energy out of a hinge than it put in.
 
     It holds nothing at first, so all work done on it is stored or lost.
@@ -93,7 +93,7 @@ def test_no_path_gets_more_out_of_a_hinge_than_it_put_in(name, seed):
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "grasp_play"])
 @pytest.mark.parametrize("wide", [2.0, 5.0])
-def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide, name):
+def test_a_slip_loop_has_the_area_of_its_parallelogram(wide, name):
     path = wide * SLIP * FINE
     done = work(path, moments(name, path))
     there = len(FINE) - 8000  # the virgin curve is not part of the loop
@@ -102,7 +102,7 @@ def test_a_loop_of_a_slip_has_the_area_of_its_parallelogram(wide, name):
     )
 
 
-def test_a_slip_turns_back_on_its_virgin_curve_twice_as_large():
+def test_a_reversed_slip_follows_masings_rule():
     """A slip turns back on its virgin curve twice as large (Masing's rule)."""
     x = SLIP * np.linspace(0, 1.5, 301)
     virgin = moments("maxwell_slip", x)
@@ -113,14 +113,14 @@ def test_a_slip_turns_back_on_its_virgin_curve_twice_as_large():
     np.testing.assert_allclose(back[0] - back, 2 * virgin, atol=1e-12)
 
 
-def test_within_its_slip_nothing_is_lost():
+def test_a_path_within_the_slip_dissipates_nothing():
     path = 0.9 * SLIP * FINE
     np.testing.assert_allclose(
         moments("maxwell_slip", path), CAP / SLIP * path, atol=1e-12
     )
 
 
-def test_dahls_friction_comes_near_its_cap_as_an_exponential():
+def test_dahls_friction_approaches_its_cap_exponentially():
     path = SLIP * np.linspace(0, 5, 501)
     expected = CAP * (1 - np.exp(-path / SLIP))
     np.testing.assert_allclose(
@@ -131,7 +131,7 @@ def test_dahls_friction_comes_near_its_cap_as_an_exponential():
     )
 
 
-def test_it_does_not_matter_how_fast_dry_friction_is_bent():
+def test_dry_friction_does_not_depend_on_the_rate():
     path = 2 * SLIP * np.sin(np.linspace(0, 7, 200))
     for name in ("maxwell_slip", "dahl_friction", "grasp_play"):
         np.testing.assert_array_equal(
@@ -140,7 +140,7 @@ def test_it_does_not_matter_how_fast_dry_friction_is_bent():
 
 
 @pytest.mark.parametrize("steps", [50, 100])
-def test_what_relaxes_fades_as_an_exponential_to_second_order(steps):
+def test_relaxation_is_exponential_to_second_order(steps):
     path = np.concatenate([[0.0], np.full(steps, 1.0)])
     found = moments("standard_linear_solid", path, 0.2 / steps)
     faded = found[-1] / found[1]
@@ -178,7 +178,7 @@ MILD = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", MILD)
-def test_a_string_moves_the_same_whoever_integrates_it(name, arm, motion):
+def test_all_integrators_give_the_same_motion(name, arm, motion):
     """A string moves the same with any integrator, and at a twentieth of the step.
 
     Its memory moves its tip by more than 5 mm.
@@ -206,7 +206,7 @@ def with_maxwell_slip(arm):
     return replace(model, string=replace(model.string, integrator=ImplicitLeapfrog()))
 
 
-def test_a_string_that_hangs_at_rest_holds_nothing(arm):
+def test_a_string_at_rest_has_no_memory(arm):
     """The hinges of a string that hangs at rest hold no moment.
 
     It hangs as without friction, and stays there, started in equilibrium or released
@@ -233,7 +233,7 @@ def test_a_string_that_hangs_at_rest_holds_nothing(arm):
     np.testing.assert_allclose(points[0, :, -1], np.tile(free[0], (60, 1)), atol=1e-6)
 
 
-def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
+def test_displacement_within_the_slip_only_stiffens_a_string(arm):
     """A string pulled aside within its slip is only stiffer.
 
     A string that begins elsewhere was pulled there slowly. While it sticks, a stop adds
@@ -270,9 +270,7 @@ def test_pulled_aside_within_its_slip_a_string_is_only_stiffer(arm):
         ("grasp_play", 1.0, 2),
     ],
 )
-def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(
-    name, times, where, arm
-):
+def test_the_step_bound_covers_the_stiffness_after_a_reversal(name, times, where, arm):
     string = ordinary(arm).with_effects(effects_by_name()[name]).string
     values = {f"{name}.{key}": value for key, value in KNOWN[name].items()}
     steepest = memory_stiffness_bounds(
@@ -283,7 +281,7 @@ def test_the_step_knows_how_stiff_a_hinge_is_where_it_turns_back(
     )
 
 
-def test_several_of_a_kind_are_named_by_numbers(arm):
+def test_several_effects_of_a_kind_are_numbered(arm):
     """Several effects of a kind are named by numbers.
 
     Two slips in parallel are one of their sum where they slip at the same curvature.

@@ -96,7 +96,7 @@ def turns(t, x):
 
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction"])
-def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
+def test_a_cap_reduces_each_swing_by_the_same_amount(name):
     """Under a cap each swing is smaller than the last by the same amount.
 
     The amount is 2 cap / stiffness, less what the slip curvature gives back. It follows
@@ -116,7 +116,7 @@ def test_under_a_cap_swings_become_smaller_by_as_much_each_time(name):
     )
 
 
-def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
+def test_a_sticking_hinge_swings_faster_than_a_slipping_one():
     """A hinge that sticks swings faster than one that slips.
 
     With K = 3 B it is twice as fast. A swing of a hundred times the slip curvature is
@@ -144,7 +144,7 @@ def test_a_hinge_that_sticks_swings_faster_than_one_that_slips():
 @pytest.mark.parametrize(
     "name", ["maxwell_slip", "dahl_friction", "standard_linear_solid"]
 )
-def test_half_the_step_is_half_as_far_off_and_a_tenth_a_tenth(name, integrator, step):
+def test_the_error_falls_at_least_linearly_with_the_step(name, integrator, step):
     """Half the step is half as far off, and a tenth a tenth: at least first order."""
     values = (
         {"stiffness": STIFFNESS, "relaxation": 0.1}
@@ -276,7 +276,7 @@ def independent(shape, t, theta, named):
 @pytest.mark.parametrize(
     "law", [*(pytest.param(name, marks=pytest.mark.long) for name in MEMORY), "all"]
 )
-def test_a_rod_that_somebody_else_integrates_moves_the_same(law):
+def test_an_independent_integration_of_a_rod_agrees(law):
     """An independently integrated rod moves the same within 0.05 mm.
 
     Most of the difference is the stretch that it does not have. Memory moves the tip by
@@ -336,7 +336,7 @@ class CreepingSlip(StringEffect):
 
 
 @pytest.mark.long
-def test_a_law_with_memory_is_one_file_of_which_twelve_lines_are_the_law(
+def test_a_law_with_memory_is_one_file_with_twelve_lines_of_law(
     effects_folder,
 ):
     """A law with memory is one file of which twelve lines are the law.

@@ -29,7 +29,7 @@ def simulate_hand(pose: np.ndarray, string: String = STRING) -> np.ndarray:
     ).points[0]
 
 
-def test_moving_the_whole_experiment_moves_the_string_with_it():
+def test_translation_of_the_experiment_translates_the_string():
     np.testing.assert_allclose(
         simulate_hand(POSE + [0.3, -0.2, 0.0]) - [0.3, -0.2],
         simulate_hand(POSE),
@@ -37,7 +37,7 @@ def test_moving_the_whole_experiment_moves_the_string_with_it():
     )
 
 
-def test_a_mirrored_motion_makes_a_mirrored_string():
+def test_a_mirrored_motion_gives_a_mirrored_string():
     mirrored = POSE * [-1, 1, -1] + [0, 0, np.pi]
     np.testing.assert_allclose(
         simulate_hand(mirrored) * [-1, 1], simulate_hand(POSE), atol=1e-9
@@ -45,7 +45,7 @@ def test_a_mirrored_motion_makes_a_mirrored_string():
 
 
 @pytest.mark.parametrize("turn", [0.7, 2.5, -2.0])
-def test_without_weight_no_direction_is_special(turn):
+def test_rotation_of_a_weightless_experiment_rotates_the_string(turn):
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s], [s, c]])
     turned = np.concatenate([POSE[:, :2] @ rotation.T, POSE[:, 2:] + turn], axis=1)
@@ -54,7 +54,7 @@ def test_without_weight_no_direction_is_special(turn):
     np.testing.assert_allclose(simulate_hand(turned, WEIGHTLESS), expected, atol=1e-8)
 
 
-def test_inner_forces_do_not_push_the_string_as_a_whole():
+def test_inner_forces_sum_to_zero():
     """Inner forces do not push the string as a whole.
 
     Weightless and airless, a string is drawn along behind the hand. It ends straight
@@ -106,7 +106,7 @@ def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
 
 
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), ImplicitLeapfrog()])
-def test_candidates_do_not_notice_each_other_nor_the_threads(integrator):
+def test_results_depend_neither_on_other_candidates_nor_on_threads(integrator):
     string = String(0.3, integrator=integrator)
     rng = np.random.default_rng(1)
     values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
@@ -147,7 +147,7 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
     np.testing.assert_array_equal(together, alone)
 
 
-def test_only_the_paper_s_forces_are_ever_alone(monkeypatch):
+def test_only_the_paper_s_forces_use_a_single_lane(monkeypatch):
     """Only the paper's forces are ever simulated in a single lane.
 
     With others the compiler rounds some sums otherwise in one lane.

@@ -18,7 +18,7 @@ TWO = pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="needs two t
 
 @TWO
 @pytest.mark.parametrize(("count", "piece"), [(1, 1), (7, 1), (64, 10), (5, 100)])
-def test_threads_do_each_piece_once(count, piece):
+def test_threads_process_each_piece_once(count, piece):
     done = np.zeros(count, int)
 
     def work(first, last):
@@ -30,7 +30,7 @@ def test_threads_do_each_piece_once(count, piece):
 
 
 @TWO
-def test_a_thread_that_does_not_come_is_not_waited_for():
+def test_a_thread_that_has_not_begun_is_cancelled():
     free, done = threading.Event(), []
     busy = _thread_pool(os.getpid(), 1).submit(free.wait, 30)
     with threads(2):
@@ -42,7 +42,7 @@ def test_a_thread_that_does_not_come_is_not_waited_for():
 
 
 @TWO
-def test_what_goes_wrong_in_a_thread_is_told():
+def test_errors_in_a_thread_are_raised():
     begun = threading.Event()
 
     def work(first, last):
