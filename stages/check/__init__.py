@@ -1,1 +1,1 @@
-"""Checks of measured data: what is there, what looks wrong and how to correct it."""
+"""Checks of measured data: contents, faults and remedies."""

@@ -57,8 +57,8 @@ CHECKS: tuple[Check, ...] = (
 def collect_findings(dataset: CheckedDataset) -> list[Finding]:
     """Return the findings of all checks of a dataset, the worst first.
 
-    Findings of the same place with the same remedy become one, with the statement of
-    the first and all their trials.
+    Findings with the same place and remedy are merged: the statement is that of the
+    first, for all their trials.
     """
     return [*_find_all(dataset)]
 

@@ -1,4 +1,4 @@
-"""Checks of times: unit, rate, overlap of both clocks, and what moves first."""
+"""Checks of times: unit, rate, overlap of both clocks, and onsets of motion."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 from stringcast.stages.common import NORMAL_95
 
-MAX_INTERVAL_S = 0.5  # samples further apart do not show the motion of any string
+MAX_INTERVAL_S = 0.5  # between samples that show the motion of a string
 MIN_SAMPLES_FOR_UNIT = 10
 MAX_TRIAL_S = 3600.0  # a trial is simulated in ticks of 5 ms: 7e5 of them
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-# share of the time in which the string was seen for which the hand's motion is known
+# of the time in which the string was seen: share with known motion of the hand
 MIN_COVERED_SHARE = 0.5
 RATE_TOLERANCE = 0.05  # relative difference of fps from the rate of the times
 MIN_RATE_DIFFERENCE = 0.002  # smaller ones shift a trial of a second by half a frame
-# rates at which frames may have been filmed, and frames that they distinguish
+# number of frame rates that are tried, and of frames used for that
 TRIED_RATES, MAX_RATE_FRAMES = 501, 1000
-# the string may begin to move so much before and after the hand
+# allowed lead and lag of the string's onset relative to the hand's
 MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
-MAX_CLOCK_FRAMES = 4.0  # in which the clocks' offset is known: more is worth a note
+MAX_CLOCK_FRAMES = 4.0  # uncertainty of the clock offset, above which a note is given
 MIN_FRAME_S = 1e-6
 SAMPLING_REMEDY = (
     "Film faster, or track more frames: how the string moves between them is unknown"
 )
-GAP_INTERVALS = 10.0  # a gap is so many usual intervals
+GAP_INTERVALS = 10.0  # least length of a gap, in usual intervals
 MIN_GAP_S = 0.05
 MIN_GAP_DISTANCE = 0.01  # of the hand within a gap, relative to the string's length
 
@@ -82,7 +82,7 @@ def trials_in_seconds(
 
 
 def check_duration(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find trials of hours, in which usually one time is wrong."""
+    """Find trials of hours, usually because of one wrong time."""
     for trial in dataset.trials:
         for file, t in times_by_file(dataset, trial).items():
             if not len(t) or time_unit_factor(t) in TIME_UNITS:
@@ -117,8 +117,8 @@ def frame_interval(t: np.ndarray) -> tuple[float, float]:
     interval, sigma : float
         The interval and its standard deviation [s].
     """
-    # the rate at which the times are most nearly in phase: steps counted one by one
-    # would be miscounted where times jitter
+    # The rate at which the times are most nearly in phase. Counting steps one by one
+    # would be sensitive to jitter
     t = t[:MAX_RATE_FRAMES]
     elapsed = t - t[0]
     usual = usual_interval(t)
@@ -127,7 +127,7 @@ def frame_interval(t: np.ndarray) -> tuple[float, float]:
     best = int(np.argmax(np.abs(waves)))
     turns = rates[best] * elapsed - np.angle(waves[best]) / (2 * np.pi)
 
-    # the line of times over the numbers of their frames
+    # Linear fit of times over frame numbers
     numbers = np.rint(turns) - np.rint(turns).mean()
     spread = numbers @ numbers
     interval = float(numbers @ t / spread)
@@ -136,7 +136,7 @@ def frame_interval(t: np.ndarray) -> tuple[float, float]:
 
 
 def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find frames at another rate than the stated one of the camera."""
+    """Find frame rates that differ from the stated one of the camera."""
     fps = dataset.metadata_block("camera").get("fps")
     if fps is None:
         return
@@ -175,7 +175,7 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_overlap(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find trials in which the hand's motion is known for little of the time."""
+    """Find trials with little overlap between the times of hand and points."""
     for trial in trials_in_seconds(dataset, dataset.with_points()):
         first = max(trial.hand_t[0], trial.frame_t[0])
         last = min(trial.hand_t[-1], trial.frame_t[-1])
@@ -234,7 +234,7 @@ def check_clock_interval(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_rest(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find strings that should be at rest and move without the hand."""
+    """Find strings that move before the hand although they are stated to be at rest."""
     for trial in dataset.informative_trials():
         if not trial.starts_moving and is_restless(trial):
             statement = "the string moves before the hand does, or the hand never moves"
@@ -247,7 +247,7 @@ def check_rest(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_sampling(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find strings that were seen too seldom to show their motion."""
+    """Find strings with too few frames to show their motion."""
     for trial in trials_in_seconds(dataset, dataset.with_points()):
         if trial.is_undersampled:
             statement = describe_sampling(trial)
@@ -257,7 +257,7 @@ def check_sampling(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def describe_sampling(trial: CheckedTrial) -> str:
-    """Return how often a string was seen, and how often it must be."""
+    """Describe the rate at which a string was seen, and the required rate."""
     return (
         f"each place was seen {trial.rate:.2g} times a second; a string of "
         f"{trial.length:.3g} m needs at least {trial.least_rate:.2g}"
@@ -288,7 +288,7 @@ def check_gaps(dataset: CheckedDataset) -> Iterator[Finding]:
             gaps = int((intervals > limit).sum())
             statement = f"{gaps} gap(s), the longest {longest:.3f} s"
 
-            # only motion of the hand within the gap does harm
+            # only motion of the hand within the gap matters
             start = int(np.argmax(intervals))
             ends = trial.pose[start : start + 2, :2]
             distance = float(np.linalg.norm(np.diff(ends, axis=0)))

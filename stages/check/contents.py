@@ -35,13 +35,13 @@ from stringcast.stages.check.measured import (
 )
 
 MIN_NAME_SIMILARITY = 0.75
-# measured noise may be so many times larger and smaller than the stated noise
+# factors by which measured noise may be larger and smaller than stated noise
 NOISE_RATIO_HIGH, NOISE_RATIO_LOW = 5.0, 3.0
-MAX_NOISE = 0.1  # relative to the string's length: no point is measured so badly
-MAX_LENGTH_RATIO = 1.1  # so many times as long is another string
+MAX_NOISE = 0.1  # relative to the string's length
+MAX_LENGTH_RATIO = 1.1  # between trials with the same string
 MAX_FRAME_RATE = 1e7  # [1/s]: no camera films faster
 MIN_SEEN_LENGTH = 0.5  # share of the string: if less is seen, the tip is not
-MIN_METRIC_LENGTH = 0.01  # share of the string: if less is seen, the unit is another
+MIN_METRIC_LENGTH = 0.01  # share of the string: if less is seen, the unit is wrong
 GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
 BLOCKS: Mapping[str, type[Block]] = {
     "string": StringBlock,
@@ -52,7 +52,7 @@ BLOCKS: Mapping[str, type[Block]] = {
 
 
 def check_rows(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find rows that cannot be used, or were not in order."""
+    """Find rows that cannot be used or are not in order."""
     for file, rows in dataset.data.row_counts.items():
         if rows.dropped:
             yield _dropped_rows(file, rows)
@@ -63,7 +63,7 @@ def check_rows(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def _dropped_rows(file: str, rows: RowCounts) -> Finding:
-    """Describe the rows that are left out, with the columns that the reasons name."""
+    """Describe rows that are left out, with the columns named by the reasons."""
     lost = sum(rows.dropped.values())
     reasons = [f"{count}: {reason}" for reason, count in rows.dropped.items()]
     statement = f"{lost} of {rows.total} rows are left out ({'; '.join(reasons)})"
@@ -121,7 +121,7 @@ def check_trial_count(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_string_length(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find a missing length, one that does not fit the points, and several strings."""
+    """Find a missing or wrong length, and several strings."""
     length = dataset.length
     if "length" not in dataset.metadata_block("string"):
         statement = f"it is missing; {length:.3f} m is assumed"
@@ -148,7 +148,7 @@ def check_string_length(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_arm(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find joint angles of an arm whose links or place are not stated."""
+    """Find joint angles without the arm's links or base."""
     missing = unknown_arm_fields(dataset)
     if not missing:
         return
@@ -177,7 +177,7 @@ def check_arm(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_hand_tables(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find joint angles together with poses of the hand, of which one is not used."""
+    """Find joint angles together with poses of the hand, only one of which is used."""
     tables = (ARM.name, GRASP.name)
     files = [file for file in dataset.data.hashes if file.rpartition(".")[0] in tables]
     if len(files) > 1:
@@ -201,7 +201,7 @@ def check_camera(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_noise(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find noise that is stated in another unit or too small, and smoothed tracks."""
+    """Find stated noise in a wrong unit or too small, and smoothed tracks."""
     if "noise" in dataset.data.metadata:
         place = (DATASET_FILE, "noise.point_sigma")
     else:
@@ -274,7 +274,7 @@ def _similar_names(
 
 
 def check_roles(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find metadata of missing trials, unknown roles, and no trial to learn from."""
+    """Find metadata of missing trials, unknown roles, and held-out datasets."""
     described = dataset.data.metadata.get("trials", {})
     trials = {trial.name for trial in dataset.trials}
     for name in sorted(

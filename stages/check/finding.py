@@ -12,8 +12,8 @@ MAX_NAMED_TRIALS = 4  # in a sentence
 class Severity(StrEnum):
     """How bad a finding is.
 
-    An error is certainly wrong, and nothing runs on such data. A warning is suspicious
-    or means that data are left out. A note needs no action.
+    An error is certain, and nothing runs on such data. A warning is a suspicion, or
+    means that data are left out. A note needs no action.
     """
 
     ERROR = "error"
@@ -50,7 +50,7 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The finding in one line that names a few trials at most."""
+        """The finding in one line, with the names of a few trials."""
         place = " ".join(filter(None, (self.file, self.field)))
         if self.trials:
             names = ", ".join(self.trials[:MAX_NAMED_TRIALS])
@@ -77,10 +77,10 @@ def warning(
 
 
 def note(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
-    """Return a finding that is good to know."""
+    """Return a finding that needs no action."""
     return Finding(Severity.NOTE, file, field, statement, remedy, trials)
 
 
 def full_stop(remedy: str) -> str:
-    """Return the full stop behind a remedy; none behind a command to be pasted."""
+    """Return the full stop after a remedy; none after a command to be pasted."""
     return "" if re.search(r": (python|rm|printf) \S", remedy) else "."

@@ -12,12 +12,12 @@ from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset
 
 GRID_SIZE = 9  # pixels tested in either direction of a picture
-# a pixel must come back from the plane so near to where it was
+# from pixel to plane and back
 MAX_RETURN_ERROR_PX = 0.5
-# share of pixels that may lie nowhere: the corners of a strongly bending lens
+# share of pixels without a place in the plane: corners with strong lens distortion
 MAX_LOST_CORNERS = 0.1
-MIN_STRING_PX = 3.0  # a shorter string has no direction
-MAX_STRING_PICTURES = 20.0  # a longer string shows nothing of its shape
+MIN_STRING_PX = 3.0  # a shorter string shows no direction
+MAX_STRING_PICTURES = 20.0  # a longer string shows no shape
 MAX_DROPPED_SHARE = 0.02  # of a film's frames
 
 

@@ -1,6 +1,6 @@
 """Estimate of gravity from the motion of a string's tip.
 
-Lengths in another unit, or times of slow motion, change this estimate.
+A wrong unit of length or times of slow motion change this estimate.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from stringcast.stages.check.measured import CheckedTrial, drop_spikes
 from stringcast.stages.common import GRAVITY_M_S2, NORMAL_95
 from stringcast.stages.model.polyline import turn_left
 
-# a parabola is fitted over so long: a fast tip turns little in it
+# duration of a fitted parabola, in which a fast tip turns little
 WINDOW_S = 0.04
 MAX_WINDOW_RATIO = 1.5  # of a window's duration over that without lost frames
 MIN_WINDOW_FRAMES = 5
 MIN_WINDOWS = 20
-# rms sine of the angle of the string's end to the vertical: a string that only hangs
-# does not show how it falls
+# rms sine of the angle of the string's end to the vertical: a hanging string does not
+# show gravity
 MIN_SINE = 0.1
-# relative arc length: the piece from there to the tip gives the direction of the end
+# relative arc length from which the piece to the tip gives the direction of the end
 DIRECTION_FROM = 0.75
-TIP_FROM = 0.95  # relative arc length from which a point counts as the tip
+TIP_FROM = 0.95  # relative arc length from which a point is at the tip
 
 
 def estimate_gravity(trial: CheckedTrial) -> float:
     """Estimate gravity in the dataset's units of length and time.
 
-    Tension ends at the tip and pulls along the string. Across the string, a limp
-    string's tip is accelerated by gravity alone. A stiff string is straightened too,
-    and seems to fall up to several times as fast. The estimate regresses the tip's
-    acceleration across the string on that of gravity, over all frames.
+    Tension pulls the tip along the string. Across the string, the tip of a limp string
+    is accelerated by gravity alone. A stiff string is also straightened, and seems to
+    fall up to several times as fast. The estimate regresses the tip's acceleration
+    across the string on that of gravity, over all frames.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     if len(t) < MIN_WINDOWS + frames_per_window:
         return float("nan")
 
-    # windows without lost frames, over which a parabola says nothing of a moment
+    # windows without lost frames, which would make them too long for a parabola
     times = sliding_window_view(t, frames_per_window)
     usual_duration = (frames_per_window - 1) * interval
     is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * usual_duration
@@ -99,7 +99,7 @@ def _tip_track(trial: CheckedTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     t, tip = drop_spikes(last["t"].to_numpy(), last[["x", "y"]].to_numpy())
     inner = points[points["s"] <= DIRECTION_FROM * end].groupby("t").tail(1)
     before_tip = inner.set_index("t").reindex(t)[["x", "y"]]
-    # where no point before the tip was seen, the hand is the one before it
+    # if no point before the tip was seen, the hand replaces it
     start = np.where(np.isfinite(before_tip), before_tip, trial.hand_at(t))
     chord = tip - start
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
@@ -117,10 +117,7 @@ def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:
-    """Return the median estimate of the trials that show it; NaN if none does.
-
-    A string that stays at rest does not fall at all.
-    """
+    """Return the median estimate over moving trials that show it; NaN if none does."""
     moving = [trial for trial in trials if trial.string_onset is not None]
     estimates = [estimate_gravity(trial) for trial in moving]
     known = [gravity for gravity in estimates if np.isfinite(gravity)]

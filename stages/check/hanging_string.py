@@ -1,9 +1,9 @@
-"""A string hanging at rest: how far along it its points are.
+"""Estimate of the arc lengths of points on a string that hangs at rest.
 
-A limp string hangs straight below the hand. A stiff one leaves it in the hand's
-direction, and its points are farther along it than they are from the hand. So a heavy
-rod of unknown stiffness, grasp and set is fitted to where the points rest in all
-trials, and tells their arc lengths.
+A limp string hangs straight below the hand. A stiff one leaves the hand in the hand's
+direction, so that its points have larger arc lengths than distances from the hand. So a
+heavy rod of unknown bending stiffness, grasp stiffness, set and arc lengths is fitted
+to the points at rest in all trials.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String
 
 MAX_TRIALS = 12
-MAX_ROD_MISFIT = 0.05  # of the length: a heavy rod in a right hand is nearer
+MAX_ROD_MISFIT = 0.05  # of the length: with a right pose of the hand it is less
 MAX_REST_SPREAD = 0.03  # of the farthest point's distance from the hand
-PLACE_ERROR_M = 1e-3  # of a point at rest and of the hand: nearer, it is at the grasp
+PLACE_ERROR_M = 1e-3  # of a point relative to the hand; nearer points are at the grasp
 ROD_POINTS = 81
 INEXTENSIBLE = 1e7  # [N/(m kg)]
-# The rod's logarithms of bending stiffness at 0.3 m and ten mass points [N m/(rad kg)]
-# and of the grasp's over it, and its set from end to end [rad]: normal priors about
-# zero, and bounds
+# Logarithm of the rod's bending stiffness at 0.3 m and ten mass points [N m/(rad kg)],
+# logarithm of the grasp's stiffness over it, and set from end to end [rad]: standard
+# deviations of normal priors centred at zero, and bounds
 PRIOR_DEVIATION = np.array([3.0, 3.0, 0.7])
 LOWEST = np.array([-7.0, -6.0, -3.0])
 HIGHEST = np.array([7.0, 6.0, 3.0])
 START_LOG_STIFFNESS = (-3.0, 0.0, 2.0, 4.0)
-ARC_LENGTH_BOUNDS = (0.3, 3.0)  # in those of a limp string
+ARC_LENGTH_BOUNDS = (0.3, 3.0)  # relative to those of a limp string
 LENGTH_ERROR_M = 1e-4  # of a stated length
 DIFFERENCE_STEP = 1e-6  # of logarithms, [rad], [m]
 
@@ -46,11 +46,11 @@ class RestingPoints:
     Attributes
     ----------
     names
-        Of the J points, the nearest to the hand first.
+        Names of the J points, the nearest to the hand first.
     hands
         Poses of the hand (K, 3): x, y [m], theta [rad].
     places
-        Of the points from the hand on (K, J, 2) [m]; NaN where one was not seen.
+        Positions of the points relative to the hand (K, J, 2) [m]; NaN if not seen.
     trials
         Names of the trials.
     """
@@ -62,9 +62,9 @@ class RestingPoints:
 
     @property
     def chords(self) -> np.ndarray:
-        """Median distance of each point from the hand, by way of those before it, (J,).
+        """Median length of the polyline from the hand to each point [m], (J,).
 
-        Arc lengths of a limp string.
+        They are the arc lengths of a limp string.
         """
         paths = []
         for places in self.places:
@@ -77,14 +77,14 @@ class RestingPoints:
 
 @dataclass(frozen=True)
 class HangingString:
-    """Arc lengths of points by how they hang.
+    """Arc lengths of points from the fit of a hanging rod.
 
     Attributes
     ----------
     arc_lengths
-        By point, from the hand on [m].
+        Arc length of each point, from the hand outwards [m].
     distances
-        Of the points from the fitted rod, (K, J) [m]; NaN where one was not seen.
+        Distances of the points from the fitted rod, (K, J) [m]; NaN if not seen.
     """
 
     arc_lengths: dict[str, float]
@@ -102,14 +102,14 @@ class HangingString:
 
     @property
     def is_rod(self) -> bool:
-        """Whether the points are so near to the rod that it shows their places."""
+        """Whether the points are near enough to the rod to trust their arc lengths."""
         return self.misfit_m <= MAX_ROD_MISFIT * self.length
 
 
 def find_resting_points(measured: Measurements) -> RestingPoints | None:
     """Find where points rest before the first motion, in trials that begin at rest.
 
-    None if a point was never seen at rest, or all are at the grasp.
+    Returns None if a point was never seen at rest, or all are at the grasp.
     """
     resting = [r for r in measured.recordings if not r.starts_moving][:MAX_TRIALS]
     hands = [measured.pose(recording)[0] for recording in resting]
@@ -138,20 +138,20 @@ def find_resting_points(measured: Measurements) -> RestingPoints | None:
 
 
 def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingString:
-    """Fit a heavy rod to where points rest, and read off their arc lengths.
+    """Fit a heavy rod and the arc lengths of points to their places at rest.
 
     Parameters
     ----------
     resting
-        Where the points rest.
+        The points at rest.
     length
-        Arc length of the last point [m]; None if it is unknown as well.
+        Arc length of the last point [m]; None if it is unknown, too.
     """
     chords = resting.chords
     rod = HeavyRod.in_hands(resting.hands, resting.places[:, -1], float(chords[-1]))
 
     def residuals(unknowns: np.ndarray) -> np.ndarray:
-        """Compute what is minimised at C unknowns (C, 3 + J), (C, R)."""
+        """Compute least-squares residuals (C, R) of unknowns (C, 3 + J)."""
         stiffness_and_set, arc_lengths = np.split(unknowns, [3], axis=1)
         prior = stiffness_and_set / PRIOR_DEVIATION
         distances = rod.places(stiffness_and_set, arc_lengths) - resting.places
@@ -162,14 +162,14 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
         return np.concatenate(parts, axis=1)
 
     def slopes(unknowns: np.ndarray) -> np.ndarray:
-        """Difference the residuals by each unknown, (R, 3 + J), in one batch."""
+        """Compute finite-difference slopes of the residuals, (R, 3 + J), in a batch."""
         moved = unknowns + DIFFERENCE_STEP * np.eye(len(unknowns))
         at_unknowns, *at_moved = residuals(np.vstack([unknowns, moved]))
         return np.transpose(at_moved - at_unknowns) / DIFFERENCE_STEP
 
     start_lengths = chords * (length or chords[-1]) / chords[-1]
     shortest, longest = np.outer(ARC_LENGTH_BOUNDS, start_lengths)
-    # Of a point at the grasp they would be the same
+    # Keep the bounds apart for a point at the grasp
     shortest = np.maximum(shortest - PLACE_ERROR_M, 0.0)
     longest = longest + PLACE_ERROR_M
     low = np.concatenate([LOWEST, shortest])
@@ -189,7 +189,7 @@ def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingS
 
     (places,) = rod.places(best[None, :3], best[None, 3:])
     distances = np.linalg.norm(places - resting.places, axis=-1)
-    # The rod ends at the last point: what would be beyond it was fitted to its end
+    # The rod ends at the last point: points beyond it were fitted to its end
     on_string = np.minimum(best[3:], best[-1])
     arc_lengths = on_string * (length or best[-1]) / best[-1]
     by_point = dict(zip(resting.names, map(float, arc_lengths), strict=True))
@@ -203,11 +203,11 @@ class HeavyRod:
     Attributes
     ----------
     string
-        Of any length: shapes scale with it.
+        A string of any length, because shapes scale with it.
     hands
         Poses (K, 3): x, y [m], theta [rad].
     turns
-        About how far it turns from each hand to its end, (K,) [rad].
+        Approximate angle from each hand to the rod's end, (K,) [rad].
     """
 
     string: String
@@ -216,7 +216,7 @@ class HeavyRod:
 
     @classmethod
     def in_hands(cls, hands: np.ndarray, ends: np.ndarray, length: float) -> HeavyRod:
-        """Hang a rod about as long so that it ends near given places (K, 2) [m]."""
+        """Hang a rod of about a length so that it ends near places (K, 2) [m]."""
         string = String(
             length,
             points=ROD_POINTS,
@@ -231,10 +231,10 @@ class HeavyRod:
     def places(
         self, stiffness_and_set: np.ndarray, arc_lengths: np.ndarray
     ) -> np.ndarray:
-        """Find where points rest from the hands on, (C, K, J, 2) [m].
+        """Compute places of points at rest relative to the hands, (C, K, J, 2) [m].
 
-        stiffness_and_set: as of PRIOR_DEVIATION, (C, 3). arc_lengths: (C, J) [m], of
-        the end last.
+        stiffness_and_set: as in PRIOR_DEVIATION, (C, 3). arc_lengths: (C, J) [m], that
+        of the end last.
         """
         count, hands = len(arc_lengths), len(self.hands)
         angles, lengths = hanging_shape(

@@ -1,4 +1,4 @@
-"""Check that marks hang where they are stated to be along the string."""
+"""Check of the stated arc lengths of marks by how the string hangs."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from stringcast.stages.check.hanging_string import (
 )
 from stringcast.stages.check.measured import CheckedDataset
 
-MIN_TRIALS = 3  # that begin at rest: fewer bend the string in too few ways
-# Errors of the place that are found, in metres and of the length: right marks are found
-# within 1 mm, also in wind, with heavy tips, and in hands that turn too far
+MIN_TRIALS = 3  # that begin at rest: fewer have too few shapes of the string
+# Reported errors of the place, in metres and of the length. Estimates of right marks
+# are within 1 mm, also with wind, heavy tips, and hands that turn too far
 MIN_SHIFT_M = 3e-3
 MIN_SHIFT = 0.01
-MAX_MISFIT = 0.01  # of the length: where the string hangs otherwise, it says nothing
+MAX_MISFIT = 0.01  # of the length: above it, the fitted shape is not used
 
 
 def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find marks that hang farther along the string, or less far, than stated."""
+    """Find marks whose arc length seems to differ from the stated one."""
     places = set[float]()
     for trial in dataset.with_points():
         places |= {*trial.points["s"].round(4)}
     if not 2 <= len(places) <= MAX_PLACES:
-        return  # more are a line, measured in the picture
+        return  # more points are a centre-line, measured in the picture
     measured = measurements_of(dataset)
     if not {round(s, 4) for s in measured.stated_arc_lengths} <= places:
-        return  # other places in every frame, between which points are interpolated
+        return  # places change in every frame, and points are interpolated
     resting = find_resting_points(measured)
     if resting is None or len(resting.hands) < MIN_TRIALS:
         return

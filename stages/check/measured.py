@@ -29,24 +29,24 @@ from stringcast.stages.string_places import (
 )
 
 INITIAL_FRAMES = 3  # frames that give the initial place
-MOVED_DISTANCE = 0.03  # relative to the string's length: beyond, a place was left
+MOVED_DISTANCE = 0.03  # relative to the string's length: a larger one is motion
 MIN_TRACK_FRAMES = 5
-MIN_NOISE_SAMPLES = 60  # fourth differences that give the noise of a place
-MAX_STRETCH = 1.25  # of five frames without a gap, relative to the usual interval
-MAX_REPEATED_SHARE = 0.2  # of coordinates that stay the same to the last digit
-# frames so far apart scatter so many times as much, if a track is smoothed
+MIN_NOISE_SAMPLES = 60  # fourth differences for the noise of a place
+MAX_STRETCH = 1.25  # duration of five frames without a gap, over the usual one
+MAX_REPEATED_SHARE = 0.2  # of coordinates equal to those before
+# in a smoothed track, frames this far apart scatter more than neighbours, by this ratio
 SMOOTHING_STRIDE, MIN_SMOOTHING_RATIO = 4, 2.0
-CLEAR_SIGMAS = 8.0  # so many noise sigmas are certainly motion
+CLEAR_SIGMAS = 8.0  # in noise sigmas: a larger distance is certainly motion
 # frequency of the second mode of a hanging string in sqrt(g / length): half the second
 # zero of Bessel's J0
 SECOND_MODE = 2.76
-# Nyquist's two would need data without noise and gaps
+# Nyquist's limit of two holds for data without noise and gaps
 SAMPLES_PER_PERIOD = 4.0
 # if more than a tenth of the steps between frames exceed this share of the length, the
 # string may swing between frames
 LEAP_QUANTILE, LEAP_DISTANCE = 0.9, 0.1
 SUSPICIOUS_LOST_SHARE = 0.1  # of the rows
-MAX_LOST_SHARE = 0.8  # of the rows: beyond, nothing is concluded
+MAX_LOST_SHARE = 0.8  # of the rows: with more, motion is not checked
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,14 @@ class CheckedTrial:
 
     @cached_property
     def zero_rows(self) -> np.ndarray:
-        """Rows of the stored motion (K,) that are exactly zero among others."""
+        """A mask of single rows of the stored motion that are exactly zero, (K,)."""
         has_joints = self.observation.arm is not None
         names = list(JOINTS) if has_joints else ["x", "y", "theta"]
         return zero_row_mask(self.logged_motion[names].to_numpy())
 
     @cached_property
     def motion(self) -> pd.DataFrame:
-        """Joint angles or poses of the grasp, without rows of zeros among others."""
+        """Joint angles or poses of the grasp, without single rows of zeros."""
         return self.logged_motion[~self.zero_rows]
 
     @cached_property
@@ -149,7 +149,7 @@ class CheckedTrial:
 
     @property
     def least_rate(self) -> float:
-        """Lowest rate that shows how a limp string of this length swings [1/s]."""
+        """Lowest rate that resolves the swing of a limp string of this length [1/s]."""
         root = float(np.sqrt(GRAVITY_M_S2 / self.length))
         return SAMPLES_PER_PERIOD * SECOND_MODE / (2 * np.pi) * root
 
@@ -157,7 +157,7 @@ class CheckedTrial:
     def is_undersampled(self) -> bool:
         """Whether frames are too few to show the motion.
 
-        If the string only hangs from a slow hand, few frames are enough.
+        A string that hangs from a slow hand needs fewer frames.
         """
         if not self.rate < self.least_rate:
             return False
@@ -171,8 +171,8 @@ class CheckedTrial:
     def noise(self) -> float:
         """Standard deviation of a coordinate [m], or NaN if there are too few frames.
 
-        It is estimated from fourth differences in time, which smooth motion hardly has,
-        at the calmest place, because the tip of a fast string has them.
+        It is estimated from fourth differences in time at the calmest place. They are
+        small in smooth motion, but not at the tip of a fast string.
         """
         scatter = [scatter_of_track(t, xy) for t, xy in self.tracks]
         sufficient = []
@@ -183,10 +183,10 @@ class CheckedTrial:
 
     @cached_property
     def is_smoothed(self) -> bool:
-        """Whether neighbouring frames of the string at rest err alike.
+        """Whether errors of neighbouring frames at rest are correlated.
 
-        Of independent errors, frames that lie farther apart scatter as much as
-        neighbours.
+        Independent errors scatter as much between neighbours as between frames farther
+        apart.
         """
         onset = self.string_onset
         end = float(self.frame_t[-1]) if onset is None else onset
@@ -195,7 +195,7 @@ class CheckedTrial:
         for t, xy in self.tracks:
             is_resting = t < end
             if (np.diff(xy[is_resting], axis=0) == 0).mean() > MAX_REPEATED_SHARE:
-                return False  # the steps of a coarse grid hide it
+                return False  # hidden by the steps of a coarse grid
             near.append(scatter_of_track(t[is_resting], xy[is_resting]))
             for first in range(SMOOTHING_STRIDE):
                 rows = np.flatnonzero(is_resting)[first::SMOOTHING_STRIDE]
@@ -223,7 +223,7 @@ class CheckedTrial:
         for t, xy in (drop_spikes(*track) for track in self.tracks):
             start = np.median(xy[:INITIAL_FRAMES], axis=0)
             has_moved = np.linalg.norm(xy - start, axis=1) > threshold
-            # one point alone may be an outlier
+            # a single point may be an outlier
             onset = _first_time(t[:-1], has_moved[:-1] & has_moved[1:])
             onsets.append(np.inf if onset is None else onset)
         median = float(np.median(onsets)) if onsets else np.inf
@@ -239,7 +239,7 @@ def drop_spikes(t: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def without_spikes(trial: CheckedTrial) -> CheckedTrial:
     """Return a trial without points that jump away and back.
 
-    Where points were measured at other places in every frame, all of them stay.
+    If points are at other arc lengths in every frame, all of them are kept.
     """
     points = trial.points
     t, s = points["t"].to_numpy(), points["s"].to_numpy()
@@ -267,8 +267,8 @@ def scatter_of_track(t: np.ndarray, xy: np.ndarray) -> np.ndarray:
     Returns
     -------
     (2 N,)
-        Differences [m] whose standard deviation is that of a coordinate. They are of
-        frames without a gap, if enough are.
+        Differences [m] whose standard deviation is that of a coordinate. Frames with
+        gaps are left out if there are enough others.
     """
     if len(t) < MIN_TRACK_FRAMES:
         return np.empty(0)
@@ -294,7 +294,7 @@ def _first_time(t: np.ndarray, condition: np.ndarray) -> float | None:
 class CheckedDataset:
     """A dataset with the arm, camera and string length [m] that a run would use.
 
-    Each is equal to itself alone, so that a verdict on it can be kept.
+    It is compared by identity, so that its verdict can be cached.
     """
 
     data: Dataset

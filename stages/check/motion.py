@@ -1,4 +1,4 @@
-"""Checks of motion: frozen and wrapped readings, gravity, stillness."""
+"""Checks of motion: frozen and wrapped readings, gravity, no motion."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from stringcast.stages.check.gravity import median_gravity
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 from stringcast.stages.common import GRAVITY_M_S2
 
-# a joint's reading may stay the same to the last digit so long while others change
+# longest time of a constant reading of a joint while others change
 MAX_FROZEN_S = 0.1
-# gravity may seem so many times smaller and larger: 17 datasets show 5 to 19 m/s2, a
-# clamped strip 41
+# factors by which estimated gravity may be smaller and larger: 17 datasets give 5 to
+# 19 m/s2, a clamped strip 41
 GRAVITY_RATIO_LOW, GRAVITY_RATIO_HIGH = 4.0, 10.0
-# no limp string rests so far above the grasp, relative to arc length
+# above the grasp, relative to arc length: a limp string does not rest higher
 MAX_HEIGHT = 0.5
 
 
@@ -34,7 +34,7 @@ def joint_readings(
 
 
 def check_frozen_joints(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find joints whose reading never changes, or stands still while others move."""
+    """Find joints whose reading is constant while others move."""
     for trial, field, angles in joint_readings(dataset):
         if trial.joints is None or trial.hand_onset is None:
             continue
@@ -83,7 +83,7 @@ def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find strings that fall as nothing does on Earth."""
+    """Find strings whose fall contradicts gravity."""
     if impossible_trials(dataset):
         return  # another check reports what changes the fall
     if any(time_unit_factor(trial.frame_t) != 1 for trial in dataset.with_points()):

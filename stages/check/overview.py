@@ -15,7 +15,7 @@ from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.polyline import step_lengths
 
-# factor and name of the units that people read
+# factor and name of displayed units
 DISPLAY_UNITS = {
     "s": (1e3, "ms"),
     "m": (1e3, "mm"),
@@ -51,7 +51,7 @@ def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
     """
     rows, films = [], dataset.data.films
     for trial in dataset.trials:
-        # without points, frames of the film count
+        # without points, use the frames of the film
         t = trial.frame_t
         if not len(t) and trial.name in films:
             t = films[trial.name].t
@@ -77,7 +77,7 @@ def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
 
 
 def detection_limit_text(limit: Mapping[str, Any]) -> str:
-    """Describe the size from which on an effect would be found.
+    """Describe the size from which an effect would be found.
 
     Parameters
     ----------
@@ -99,10 +99,9 @@ def detection_limit_text(limit: Mapping[str, Any]) -> str:
 
 
 def dataset_overview(dataset: CheckedDataset) -> dict[str, Any]:
-    """Return all that is known about the data, as JSON.
+    """Return trials, rejected trials and findings of the data for JSON.
 
-    `usable` says whether an experiment would run on the data; `trials`, `rejected` and
-    `findings` say why.
+    `usable` states whether an experiment would run on the data.
     """
     findings = collect_findings(dataset)
     has_errors = any(finding.severity is Severity.ERROR for finding in findings)

@@ -19,12 +19,12 @@ GROSS_OUTLIER = 0.05  # distance from its neighbours' middle, relative to the le
 MIN_OUTLIERS = 3
 COARSE_STEP = 0.005  # of a grid of positions, relative to the length
 MIN_GRID_VALUES = 5
-GRID_TOLERANCE = 0.01  # of a step: values so near to a grid lie on it
+GRID_TOLERANCE = 0.01  # of a step: values this near to a grid point are on it
 MAX_LISTED_TRIALS = 4  # trials whose counts are listed
 
 
 def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find points that a tracker held, or replaced by a fixed position."""
+    """Find lost points that a tracker repeated or replaced by a fixed position."""
     for file, rows in dataset.data.row_counts.items():
         for kind in dict.fromkeys(lost.kind for lost in rows.lost):
             found = [lost for lost in rows.lost if lost.kind == kind]
@@ -49,7 +49,7 @@ def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find rows of the hand's log that are exactly zero among others."""
+    """Find single rows of the hand's log that are exactly zero."""
     counts = {}
     speed = 0.0
     for trial in dataset.trials:
@@ -79,7 +79,7 @@ def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def _code_without_zeros(path: Path, columns: Sequence[str]) -> str:
-    """Return Python that takes rows of zeros out of a file."""
+    """Return Python code that removes rows of zeros from a file."""
     read, write = "read_parquet(f)", "to_parquet(f)"
     if path.suffix == ".csv":
         read, write = "read_csv(f)", "to_csv(f, index=False)"
@@ -137,6 +137,6 @@ def grid_step(values: np.ndarray) -> float:
     step = float(steps.min())
     multiples = steps / step
     is_whole = np.abs(multiples - np.rint(multiples)) < GRID_TOLERANCE
-    # of few values each, every step is a multiple by chance
+    # with few repeated values, all steps may be multiples by chance
     is_grid = is_whole.all() and len(distinct) < len(values) / 2
     return step if is_grid else 0.0

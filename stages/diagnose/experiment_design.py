@@ -100,7 +100,7 @@ class Rivals:
 
     @cached_property
     def informations(self) -> list[np.ndarray]:
-        """What the measured trials say of each rival's parameters, (P, P)."""
+        """Information of the measured trials about each rival's parameters, (P, P)."""
         return [LinearisedFit(self.data, f).information for f in self.fits.values()]
 
     def expected_log_odds(

@@ -73,7 +73,7 @@ class Proposal:
 
     @property
     def effect(self) -> type[Effect]:
-        """The proposed cause."""
+        """The last cause, which is proposed."""
         return self.hypothesis.causes[-1]
 
     def cosine_similarity(self, other: Proposal) -> float:

@@ -46,8 +46,8 @@ depends on two things: whether their effect is the same in all trials (`trials_a
 and whether they leave little where the model holds (`stand_ins`).
 "Misfit remains" (`misfit_remains`) if the unexplained displacement of some trial's tip
 exceeds `tip_tolerance_m` with a probability above one half.
-Only a simulation that resolves two trials, or the only one, agrees with them
-(`agreement_is_resolved`). If it does not, a single trial suggests no cause either.
+Simulation can agree with trials only if it resolves two of them, or the only one
+(`agreement_is_resolved`). If it does not, no cause is suggested from a single trial.
 """
 
 from __future__ import annotations
@@ -145,8 +145,8 @@ class VerdictNumbers:
     heldout_explained_fraction : float
         Fraction of the base model's misfit in these trials that it removes.
     unresolved_m : float
-        Numerical uncertainty at the tip where simulation resolves too few trials [m];
-        0 where it resolves enough.
+        Numerical uncertainty at the tip if simulation resolves too few trials [m], else
+        0.
     """
 
     trials: int
@@ -324,15 +324,16 @@ def can_be_simulated(numbers: VerdictNumbers) -> bool:
 def unresolved_by_simulation(
     uncertainty_m: np.ndarray, misfit_m: np.ndarray, criteria: Criteria
 ) -> float:
-    """Measure how uncertain simulation is if it resolves too few trials [m], else 0.
+    """Compute the numerical uncertainty if too few trials are resolved [m], else 0.
 
-    A trial is resolved if numerical error is uncertain by no more than the tolerance,
-    or by a small part of the misfit.
+    A trial is resolved if its numerical error is uncertain by no more than the
+    tolerance, or by a small part of the misfit.
 
     Parameters
     ----------
     uncertainty_m, misfit_m : numpy.ndarray, shape (K,)
-        Of the numerical error, and of the base model, at each tip [m].
+        Uncertainty of the numerical error, and misfit of the base model, at each tip
+        [m].
     """
     allowed_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
     allowed_m = np.maximum(allowed_m, criteria.tip_tolerance_m)
@@ -344,7 +345,7 @@ def unresolved_by_simulation(
 
 
 def agreement_is_resolved(numbers: VerdictNumbers) -> bool:
-    """Whether simulation resolves enough trials to say that it agrees with them."""
+    """Whether simulation resolves enough trials to agree with them."""
     return numbers.unresolved_m == 0
 
 

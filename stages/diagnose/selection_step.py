@@ -54,7 +54,7 @@ class SelectionStep:
 
     @property
     def best(self) -> Fit | None:
-        """The leading fit."""
+        """The leading fit, or None."""
         return self.fits[0] if self.fits else None
 
     @property

@@ -101,7 +101,7 @@ class Likelihood:
         return self.with_trials(trials)
 
     def with_trials(self, trials: Sequence[PreparedTrial]) -> Likelihood:
-        """Replace the trials."""
+        """Replace the trials, keeping the random effects."""
         return replace(self, data=replace(self.data, trials=tuple(trials)))
 
     def with_model(self, model: Model) -> Likelihood:

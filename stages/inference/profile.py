@@ -97,7 +97,7 @@ def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarr
 
 @dataclass
 class _Profile:
-    """One side of an exponent's profile, followed outwards.
+    """A side of an exponent's profile, followed outwards.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Consistency of hand, string and clocks: what fits, and what would have to change."""
+"""Consistency of hand, string and clocks, and corrections of common mistakes."""

@@ -1,4 +1,4 @@
-"""The place of the arm that the string at rest and its motion show."""
+"""Estimate of the arm's base from the string at rest and its motion."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from stringcast.stages.check.consistency.prediction import (
 )
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 
-# lengths that are tried where neither length nor base is known [m]
+# lengths that are tried if neither length nor base is known [m]
 UNKNOWN_LENGTHS_M = np.geomspace(0.12, 1.5, 12)
 BASE_STEPS = 3
-# In 20 right datasets of another simulator, also with the tip alone, the best place of
-# the arm is up to 11 mm off, and up to 25 mm from others that fit as well.
+# In 20 right datasets of another simulator, also with only the tip, the best base has
+# an error of up to 11 mm, and is up to 25 mm from others that fit equally well
 PLACE_MARGIN = 0.01
 MAX_PLACE_UNCERTAINTY_M = 0.05  # of a base that is proposed
-# From the stated place: in 45 right datasets the best place is up to 30 mm from it
-# where the strings that are tried miss others, such as soft ones in a clamp.
+# From the stated base: in 45 right datasets the best one differs by up to 30 mm, if the
+# ladder has no similar string, such as a soft one in a clamp
 MIN_SHIFT_M = 0.04
 MIN_AMPLITUDE_RATIO = 2.0  # of the points' motion over the misfit, for a fitted base
 
 
 class ArmPlaces(NamedTuple):
-    """Places of the arm that were fitted, one for each string that is tried.
+    """Fitted places of the arm, one for each stiffness, tip and length.
 
     Attributes
     ----------
     misfits
-        Of the places (N,), in lengths.
+        Misfits with these places (N,), in lengths.
     places
-        Where joint 1 sits (N, 2) [m].
+        Places of joint 1 (N, 2) [m].
     motions
         Mean motion of the tip (N,), in lengths.
     """
@@ -68,7 +68,7 @@ class ArmPlaces(NamedTuple):
 class ArmElsewhere(Correction):
     """The arm's joint 1 stands at another place.
 
-    place: (2,) [m]. is_shown: whether the motion shows it well enough to state it.
+    place: (2,) [m]. is_shown: whether the motion determines it well enough.
     """
 
     table = DATASET_FILE
@@ -79,16 +79,16 @@ class ArmElsewhere(Correction):
     is_shown: bool
 
     def undo(self, measured: Measurements) -> Measurements | None:
-        """Put the arm to the place."""
+        """Move the arm to the place."""
         return replace(measured, base=self.place)
 
 
 def base_corrections(
     measured: Measurements, first: tuple[Correction, ...]
 ) -> Iterator[tuple[Correction, ...]]:
-    """Yield the arm's place that the string shows after some first corrections.
+    """Yield the fitted place of the arm after some first corrections.
 
-    A place that was measured is no place to fit: the model of the string is rough.
+    A measured place is not fitted, because the model of the string is rough.
     """
     corrected = apply_corrections(measured, first)
     if corrected is None or not corrected.has_joints or corrected.base_is_measured:
@@ -104,7 +104,7 @@ def base_corrections(
     fitted = ArmPlaces.join(fits)
     best = int(fitted.misfits.argmin())
     misfit = float(fitted.misfits[best])
-    # where the points hardly move, any string fits them at some place
+    # if the points hardly move, any string fits them at some place
     shows_place = fitted.motions[best] >= MIN_AMPLITUDE_RATIO * misfit
     if misfit > CONSISTENT_MISFIT or not shows_place:
         return
@@ -137,10 +137,10 @@ def base_correction(place: np.ndarray, uncertainty: float) -> ArmElsewhere:
 
 
 def fit_base(measured: Measurements) -> ArmPlaces | None:
-    """Fit where joint 1 sits, for each stiffness of the ladder and each possible tip.
+    """Fit the place of joint 1, for each stiffness of the ladder and each possible tip.
 
-    A string moves alike everywhere, so the arm's place is off by what points are off
-    from their prediction: first at rest, by stiffness, then over the motion.
+    The prediction does not depend on the place. So the shift of the arm is that of the
+    points from their prediction: first at rest, then over the motion.
     """
     trials: list[tuple[Recording, Prediction]] = []
     for recording in measured.recordings[:MAX_TRIALS]:
@@ -184,7 +184,7 @@ def fit_base_of_tip(trials: list[tuple[Recording, Prediction]], tip: str) -> Arm
 def shifted_fits(
     trials: list[tuple[Recording, Prediction]], tip: str, shift: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return misfits (C,) of predictions that are shifted, and what is left (C, 2)."""
+    """Return misfits (C,) of shifted predictions, and remaining shifts (C, 2)."""
     misfits = []
     residuals = []
     for recording, prediction in trials:
@@ -215,7 +215,7 @@ def median_residuals(
     rungs = np.arange(len(offsets))[:, None]
     residuals = track.xy - points[rungs, np.clip(index, 0, last)]  # (C, F, 2)
     is_within = index <= last
-    # The middle of those within, which are put before the others
+    # Median of those within, which are sorted before the others
     ordered = np.sort(np.where(is_within[..., None], residuals, np.inf), axis=1)
     counts = is_within.sum(axis=1)  # (C,)
     lower = ordered[rungs[:, 0], np.maximum(counts - 1, 0) // 2]

@@ -1,4 +1,4 @@
-"""Checks whether hand, string and stated geometry are of one world."""
+"""Checks whether hand, string and stated geometry are consistent."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ STATE_GEOMETRY = (
 
 
 def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find data of no possible string, and what would make them consistent."""
+    """Find data that no string can show, and corrections that make them consistent."""
     if unknown_arm_fields(dataset):
         return
     verdict = judge_dataset(dataset)
@@ -64,7 +64,7 @@ def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
 
 @lru_cache(maxsize=4)
 def dataset_answer(dataset: CheckedDataset) -> Answer:
-    """Return what would make a dataset consistent; it is computed once."""
+    """Return the corrections that make a dataset consistent; computed once."""
     measured, verdict = measurements_of(dataset), judge_dataset(dataset)
     return find_answer(measured, verdict, dataset.camera)
 
@@ -103,8 +103,8 @@ def misfit_finding(
 ) -> Finding:
     """Return the finding of a misfit that no common mistake explains.
 
-    It is an error unless it is as of another string or of one that whips, or the
-    geometry is stated to be measured.
+    It is an error unless the string may be bent or whip, or the geometry is stated to
+    be measured.
     """
     statement, remedy = describe_misfit(verdict), LOOK_AT_GEOMETRY
     reason = reason_beside_geometry(verdict)
@@ -120,7 +120,7 @@ def misfit_finding(
 
 
 def describe_corrections(corrections: Sequence[Correction]) -> str:
-    """Return what would be wrong, for a sentence."""
+    """Return the corrected faults as a part of a sentence."""
     words = []
     for correction in corrections:
         place = f"{correction.table} {correction.field}"
@@ -129,14 +129,14 @@ def describe_corrections(corrections: Sequence[Correction]) -> str:
 
 
 def describe_contradiction(verdict: Verdict) -> str:
-    """Return what contradicts the data as they are."""
+    """Return the broken limit or the misfit of the original data."""
     if verdict.broken:
         return next(iter(verdict.broken.values())).statement
     return describe_misfit(verdict)
 
 
 def describe_misfit(verdict: Verdict) -> str:
-    """Return how far points are from where a string in this hand would be."""
+    """Return the distance of points from the prediction, in words."""
     return (
         f"points are {verdict.misfit_m:.2g} m from where a straight string in this "
         f"hand would be, on average and whatever its stiffness and the clocks"
@@ -144,7 +144,7 @@ def describe_misfit(verdict: Verdict) -> str:
 
 
 def describe_fit(verdict: Verdict) -> str:
-    """Return how well corrected data fit."""
+    """Return the distance of corrected points from the prediction, in words."""
     if not verdict.misfits:
         return "the string is possible"
     return (
@@ -167,8 +167,8 @@ def unexplained_finding(
 ) -> Finding:
     """Return the finding of an impossible string that no common mistake explains.
 
-    If merely its length is too small, the trial is left out of a run, which is an error
-    if no other trial remains.
+    If only its length is too small, the trial is left out of a run. That is an error if
+    no other trial remains.
     """
     report, statement = error, broken.statement
     if broken.limit is Limit.ARC_LENGTH:
@@ -180,7 +180,7 @@ def unexplained_finding(
 
 
 def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:
-    """Return the fields of the arm that joint angles need and dataset.yaml lacks."""
+    """Return the fields of the arm that are required but missing in dataset.yaml."""
     if all(trial.joints is None for trial in dataset.trials):
         return []
     block = dataset.metadata_block("arm")
@@ -188,7 +188,7 @@ def unknown_arm_fields(dataset: CheckedDataset) -> list[str]:
 
 
 def check_angles(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find angles beyond what joints and hands turn."""
+    """Find angles that are too large for joints and hands in radians."""
     for trial in dataset.trials:
         if trial.joints is None:
             columns, limit = ["theta"], MAX_HAND_ANGLE_RAD

@@ -21,22 +21,22 @@ from stringcast.stages.string_places import (
     track_places,
 )
 
-MAX_PLACES = 6  # along the string that are all looked at; of more, a few
-RELATIVE_PLACES = (0.25, 0.5, 1.0)  # these few, in the arc length of the tip
-TIP_QUANTILE = 0.95  # so many points lie no further along than the tip
+MAX_PLACES = 6  # along the string; if there are more, only RELATIVE_PLACES are used
+RELATIVE_PLACES = (0.25, 0.5, 1.0)  # relative to the arc length of the tip
+TIP_QUANTILE = 0.95  # of arc lengths: that of the tip
 
 
 @lru_cache(maxsize=4)
 def judge_dataset(dataset: CheckedDataset) -> Verdict:
-    """Return the verdict on a dataset; it is computed once."""
+    """Return the verdict on a dataset; computed once."""
     return judge(measurements_of(dataset))
 
 
 @lru_cache(maxsize=4)
 def measurements_of(dataset: CheckedDataset) -> Measurements:
-    """Return what was measured, at a few places of the string.
+    """Return the measurements at a few places of the string.
 
-    A length that is not stated is None.
+    The length is None if it is not stated.
     """
     recordings = []
     for trial in trials_in_seconds(dataset, dataset.informative_trials()):
@@ -69,7 +69,7 @@ def measurements_of(dataset: CheckedDataset) -> Measurements:
 def tracks_along_string(points: pd.DataFrame) -> tuple[Track, ...]:
     """Return the tracks of a few places of the string, the innermost first.
 
-    points: of a trial, with columns t, s, x, y, in the order of t and s.
+    points: a trial's points, with columns t, s, x, y, sorted by t and s.
     """
     times, frame = np.unique(points["t"], return_inverse=True)
     s, xy = points["s"].to_numpy(), points[["x", "y"]].to_numpy()

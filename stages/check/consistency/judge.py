@@ -1,4 +1,4 @@
-"""Judge measurements: limits of every string, and how well a model predicts them."""
+"""The verdict on measurements from limits and from the misfit of a prediction."""
 
 from __future__ import annotations
 
@@ -23,44 +23,42 @@ from stringcast.stages.check.consistency.prediction import (
 )
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 
-MAX_TRIALS = 5  # more say the same
-# lengths that are tried where none is stated, in that of the hanging string: a stiff
-# one bends below the grasp
+MAX_TRIALS = 5  # more add little
+# lengths that are tried if none is stated, over that of the hanging string: a stiff
+# string is longer because it bends below the grasp
 LENGTH_RATIOS = (1.0, 1.04, 1.1, 1.2, 1.35)
-UNSEEN_END_RATIOS = (1.0, 1.3, 1.7, 2.3)  # in the largest s: its tip may be unseen
+UNSEEN_END_RATIOS = (1.0, 1.3, 1.7, 2.3)  # over the largest s: the tip may be unseen
 # median distance from the prediction, in lengths, of consistent and of wrong data
 CONSISTENT_MISFIT = 0.12
 WRONG_MISFIT = 0.25
-# At the beginning of the motion, 22 right datasets of other simulators miss by 1 to
-# 5.5 %; 42 with a wrong base, joint order or length and a misfit between the limits
-# above by 4 to 26 %, 39 of them by more than 6 %.
+# At the beginning of the motion, the misfit is 1 to 5.5 % in 22 right datasets of other
+# simulators. It is 4 to 26 % in 42 datasets with a wrong base, joint order or length
+# and a misfit between the limits above; more than 6 % in 39 of them.
 MAX_BEGINNING_MISFIT = 0.06
-# Of strings that rest bent, over that of straight ones: 0.26 to 0.49 for four sets of
-# 1.5 rad, and 0.84 for a fifth; 0.75 to 1 for wrong bases and joint angles
+# Misfit of bent strings over that of straight ones: 0.26 to 0.49 for four sets of 1.5
+# rad, and 0.84 for a fifth; 0.75 to 1 for wrong bases and joint angles
 MAX_BENT_RATIO = 0.6
-# Of a correction, over the misfit before: in 15 right datasets of other simulators a
-# fitted base leaves 0.6 to 1.2 of it.
+# Misfit with a correction over that without: in 15 right datasets of other simulators
+# it is 0.6 to 1.2 with a fitted base
 MAX_MISFIT_RATIO = 0.4
-RIVAL_RATIO = (
-    1.5  # others fit as well if their misfit is at most so many times as large
-)
-HOPELESS_TRIALS = 2  # so many, and most of the first: the others are not looked at
-FINE_STEPS_S = np.arange(-15, 16, 2.5) * 1e-3  # about the best coarse offset
+RIVAL_RATIO = 1.5  # corrections whose misfits differ by a smaller factor fit as well
+HOPELESS_TRIALS = 2  # after this many, and most so far, no others are predicted
+FINE_STEPS_S = np.arange(-15, 16, 2.5) * 1e-3  # around the best coarse offset
 
 
 @dataclass(frozen=True)
 class TrialFit:
-    """How a trial fits its prediction.
+    """The fit of a trial to its prediction at each stiffness.
 
     Attributes
     ----------
     misfits
-        Mean distance from the strings of the ladder (C,), in arc lengths of the
+        Mean distances from the predicted strings (C,), over the arc length of the
         farthest point.
     offsets
         Best clock offsets (C,) [s].
     arc_lengths
-        Best arc lengths of the tracks, by rung and track (C, T) [m].
+        Best arc lengths of the tracks (C, T) [m].
     """
 
     misfits: np.ndarray
@@ -70,18 +68,18 @@ class TrialFit:
 
 @dataclass(frozen=True)
 class Verdict:
-    """How consistent measurements are.
+    """The consistency of measurements.
 
     Attributes
     ----------
     measured
-        The measurements, with the length that fits if none was stated.
+        The measurements, with the best length if none was stated.
     broken
         The limit that each impossible trial breaks, by trial.
     misfits
         Mean distance from the prediction by trial, in lengths.
     arc_lengths
-        Arc length that fits best, by point [m].
+        Best arc length of each point [m].
     """
 
     measured: Measurements
@@ -101,7 +99,7 @@ class Verdict:
 
     @property
     def is_predicted(self) -> bool:
-        """Whether a trial could be predicted, of those that begin at rest."""
+        """Whether a trial could be predicted, or none begins at rest."""
         recordings = self.measured.recordings
         begin_moving = [r.starts_moving or r.is_restless for r in recordings]
         return bool(self.misfits) or all(begin_moving)
@@ -113,7 +111,7 @@ class Verdict:
 
 
 def judge(measured: Measurements) -> Verdict:
-    """Return how consistent measurements are."""
+    """Return the verdict on measurements."""
     broken = broken_limits(measured)
     if broken or not measured.recordings:
         return Verdict(measured, broken)
@@ -132,10 +130,10 @@ def judge(measured: Measurements) -> Verdict:
 
 
 def reason_beside_geometry(verdict: Verdict) -> str:
-    """Say why a misfit may well be of the string or its motion; nothing if it is not.
+    """State why a misfit may come from the string, not the geometry; empty if not.
 
-    A string may rest bent. Wrong geometry is wrong from the beginning: where the string
-    whips, errors of the model grow.
+    The string may be bent at rest. Or it may whip: then errors of the model grow, while
+    wrong geometry causes a misfit from the beginning.
     """
     bent = judge_prediction(verdict.measured, set_angles=WITH_SET)
     if bent.is_consistent and bent.misfit < MAX_BENT_RATIO * verdict.misfit:
@@ -148,7 +146,7 @@ def reason_beside_geometry(verdict: Verdict) -> str:
 
 
 def hanging_lengths(measured: Measurements) -> list[float]:
-    """Return lengths [m] that the string may have by s, or by how it hangs at rest."""
+    """Return possible lengths [m] from arc lengths, or from the string at rest."""
     stated = measured.stated_arc_lengths
     if stated:
         longest = float(np.quantile(stated, 0.95))
@@ -167,9 +165,9 @@ def judge_prediction(
     horizon: Horizon = WHOLE_MOTION,
     set_angles: Sequence[float] = STRAIGHT,
 ) -> Verdict:
-    """Return how well the model predicts measurements of a string of known length.
+    """Return the verdict from the prediction of a string of known length.
 
-    set_angles: as of `predict`.
+    set_angles: as in `predict`.
     """
     tip = farthest_point(measured)
     fits: dict[str, TrialFit] = {}
@@ -185,13 +183,13 @@ def judge_prediction(
 
 
 def is_hopeless(fits: Mapping[str, TrialFit]) -> bool:
-    """Return whether several trials are far from every prediction."""
+    """Return whether several trials are far from all predictions."""
     far = [fit for fit in fits.values() if fit.misfits.min() > WRONG_MISFIT]
     return len(far) >= HOPELESS_TRIALS and 2 * len(far) > len(fits)
 
 
 def summarise_fits(measured: Measurements, fits: Mapping[str, TrialFit]) -> Verdict:
-    """Return the verdict at the stiffness that fits most trials best."""
+    """Return the verdict at the stiffness with the smallest median misfit."""
     if not fits:
         return Verdict(measured, {})
     table = np.array([fit.misfits for fit in fits.values()])  # (trials, C)
@@ -220,9 +218,10 @@ def farthest_point(measured: Measurements) -> str:
 def fit_trial(
     prediction: Prediction, recording: Recording, tip: str
 ) -> TrialFit | None:
-    """Return how a trial fits its prediction at the best offset of the clocks.
+    """Fit a trial to its prediction at the best offset of the clocks.
 
-    A point without a stated arc length gets the best one; the farthest is the tip.
+    A point without a stated arc length gets the best one; that of the tip is the
+    string's length.
     """
     length = prediction.length
     horizon = prediction.horizon

@@ -1,4 +1,4 @@
-"""Limits that hold for every string, whatever its stiffness and whatever the clocks."""
+"""Limits that hold for every string, stiffness and clock offset."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from stringcast.stages.check.consistency.record import (
 from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.polyline import step_lengths
 
-# no point is so much further from the hand than its arc length, relative to the length
+# of a point's distance from the hand beyond its arc length, relative to the string's
 MAX_GAP = 0.25
-# so many points of a motion must be possible: others may be outliers
+# of the points of a motion: the others may be outliers
 GAP_QUANTILE = 0.8
-MAX_STRETCH = 1.5  # no piece is so many times as long as its arc length
-# of the distance of any point from the grasp: a string that rests with its tip nearer
-# is bent by more than half a turn
+MAX_STRETCH = 1.5  # of the distance between two points over their arc length
+# of the tip's over any other point's distance from the grasp at rest: with less, the
+# string would be bent by more than half a turn
 MIN_TIP_DISTANCE = 0.95
 PLAUSIBLE_LENGTHS_M = (0.01, 20.0)
 MAX_HAND_SPEED = 40.0  # [m/s]
-SPEED_QUANTILE = 0.95  # so many steps must be possible: others may be outliers
-INITIAL_FRAMES = 10  # wrong clocks matter least at the beginning
+SPEED_QUANTILE = 0.95  # of the steps: the others may be outliers
+INITIAL_FRAMES = 10  # in which wrong clocks matter least
 OFFSET_COUNT = 81  # clock offsets that are tried
 
 
@@ -47,7 +47,7 @@ class Limit(Enum):
 
 @dataclass(frozen=True)
 class BrokenLimit:
-    """A limit that a trial breaks, and what is impossible."""
+    """A limit that a trial breaks, with a statement."""
 
     limit: Limit
     statement: str
@@ -121,7 +121,8 @@ def broken_stretch(tracks: Sequence[Track]) -> BrokenLimit | None:
 def broken_order(recording: Recording, hand: np.ndarray) -> BrokenLimit | None:
     """Return the limit that a tip in the middle of the string breaks, or None.
 
-    Without stated arc lengths a tip is known by its name. hand: at rest, (2,) [m].
+    Only points without stated arc length are checked; the tip is recognised by its
+    name. hand: place at rest, (2,) [m].
     """
     tip = recording.track("tip")
     if tip is None or tip.s is not None or recording.starts_moving:
@@ -162,12 +163,11 @@ def stretch(first: Track, second: Track) -> float:
 def reach_excess(
     recording: Recording, pose: np.ndarray, track: Track, s: float
 ) -> float:
-    """Return by how much a point is beyond its arc length [m], at the best offset.
+    """Return a point's distance from the hand beyond its arc length [m].
 
-    A string that rests at the beginning is looked at there: the hand is at its own
-    time, or where its log begins. Of these few frames the median counts, because two of
-    ten may well be outliers. Another is looked at all the time, with any offset of the
-    clocks.
+    If the string begins at rest, the first frames are used, with the hand at the same
+    time or at the start of its log. Their median is robust against outliers. Otherwise
+    all frames are used, with the best offset of the clocks.
     """
     if not len(track.t):
         return 0.0

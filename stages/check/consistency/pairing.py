@@ -1,4 +1,4 @@
-"""Which trial's points belong to which trial's hand."""
+"""Detection of points that belong to the hand of another trial."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from stringcast.stages.check.consistency.limits import Limit
 from stringcast.stages.check.consistency.prediction import predict
 from stringcast.stages.check.consistency.record import Measurements, Recording
 
-# that a hand of another trial breaks: those of the points' distances from it
+# limits that the hand of another trial may break: those of distances from it
 LIMITS_OF_OTHER_HANDS = {Limit.GAP, Limit.ORDER}
-SUSPICIOUS_MISFIT = 0.1  # a trial that misses by more may belong to another hand
+SUSPICIOUS_MISFIT = 0.1  # with more, points may belong to another hand
 
 
 def tip_alone(recording: Recording, tip: str) -> Recording:
-    """Return a trial with the tip as its only point."""
+    """Return a trial with only its tip."""
     tracks = tuple(track for track in recording.tracks if track.point == tip)
     return replace(recording, tracks=tracks)
 
 
 def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
-    """Return whose points belong to which trial's hand, if not to their own.
+    """Find trials whose points belong to the hand of another trial.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def pairing_costs(
 ) -> np.ndarray | None:
     """Return the misfit of each trial's tip in each trial's hand, (N, N, C).
 
-    The first index is that of the hand, the last the rung of the ladder. None if there
-    is one trial only, or if a hand predicts nothing.
+    The first index is that of the hand, the last that of the stiffness. Returns None if
+    there is only one trial or a hand gives no prediction.
     """
     if len(recordings) < 2:
         return None
@@ -97,7 +97,7 @@ def pairing_costs(
 
 
 def cheapest_pairing(costs: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the track of each hand (N,), and the rung at which they fit best."""
+    """Return the track of each hand (N,), and the index of the best stiffness."""
     hands = np.arange(len(costs))
     pairings = []
     for rung in range(costs.shape[2]):

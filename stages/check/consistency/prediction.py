@@ -1,8 +1,8 @@
-"""How far the points of a string lie from where a model puts them, whatever the clocks.
+"""Distance of a string's points from a rough prediction, at the best clock offset.
 
-The model is the paper's with ten mass points and a ladder of stiffness. It need not be
-right: a wrong arm, unit, direction or pairing of files misses by a large share of the
-string's length, a wrong stiffness or a missing effect by a few hundredths.
+The model is the paper's with ten mass points and a ladder of stiffnesses. It need not
+be accurate: a wrong arm, unit, direction or pairing of files causes a misfit of a large
+share of the string's length, a wrong stiffness or a missing effect of a few hundredths.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 
 # Bending and grasp stiffness at 0.3 m and ten mass points [N m/(rad kg)]: from a limp
-# string to a strip that stands out of the hand, in grasps that yield
+# string to a strip that keeps the hand's direction, in compliant grasps
 YIELDING = (
     (0.01, 0.001),
     (1.0, 0.5),
@@ -44,13 +44,13 @@ YIELDING = (
     (90.0, 45.0),
     (200.0, 100.0),
 )
-# ... and in those that clamp: between hand and first point is half a segment, twice as
-# stiff as a whole one
+# ... and in clamps: between hand and first point is half a segment, twice as stiff as a
+# whole one
 CLAMPED_BENDING = (0.3, 1, 2, 4, 6, 8, 11, 15, 21, 30, 42, 60, 90, 130, 200)
 STIFFNESS_LADDER = (*YIELDING, *((float(b), 2.0 * b) for b in CLAMPED_BENDING))
 REFERENCE_LENGTH_M = 0.3
-# sets that are tried, by the angle from end to end [rad]: as on a spool of a third of
-# the length around and more
+# sets that are tried, by the angle from end to end [rad]: those of spools with a
+# circumference of a third of the length and more
 STRAIGHT = (0.0,)
 WITH_SET = (-2.25, -1.5, -0.75, 0.75, 1.5, 2.25)
 OTHER_PARAMETERS = {
@@ -63,29 +63,29 @@ DAMPING_TIME_S = 1e-3  # damping over stiffness
 TICK_S = 0.005
 LEAD_S = 0.3  # of rest before the motion
 MAX_DURATION_S = 10.0
-MOVED_SHARE = 0.03  # of the length: beyond, a place was left
-MIN_HAND_PATH = 0.1  # in lengths: a shorter path predicts nothing
+MOVED_SHARE = 0.03  # of the length: a larger distance is motion
+MIN_HAND_PATH = 0.1  # in lengths: after a shorter path nothing is predicted
 MAX_FRAMES = 60  # of a track
 MIN_FRAMES = 5
 MAX_KEPT_PREDICTIONS = 16  # about 1 MB each
 MAX_KEPT_TRACKS = 256
 OFFSET_STEP_S = 0.02
-# arc lengths that are tried where none is stated, in lengths
+# arc lengths that are tried if none is stated, in lengths
 ARC_LENGTH_GRID = np.arange(0.2, 1.001, 0.1)
 
 
 class Horizon(NamedTuple):
-    """How much of a motion is looked at.
+    """The part of a motion that is predicted.
 
-    Errors of the model grow in fast casts; a slow motion is followed until it has gone
-    some way.
+    It is short in fast casts, in which errors of the model grow, and longer in slow
+    motion.
 
     Attributes
     ----------
     duration
-        Of motion, in sqrt(length / g).
+        Duration after the onset, in sqrt(length / g).
     swung
-        How far it has gone at least, in lengths.
+        Least distance moved in it, in lengths.
     """
 
     duration: float
@@ -98,18 +98,18 @@ BEGINNING = Horizon(1.2, 0.3)
 
 @dataclass(frozen=True)
 class Prediction:
-    """Strings of the ladder in the hand of a trial.
+    """Predicted strings of all stiffnesses in a trial.
 
     Attributes
     ----------
     t
         Times (N,) [s] by the arm's clock, every TICK_S.
     nodes
-        Positions (C, N, n, 2) [m], evenly along the string.
+        Positions (C, N, n, 2) [m], evenly spaced along the string.
     length
         Length of the string [m].
     horizon
-        How much of the motion is predicted.
+        The predicted part of the motion.
     """
 
     t: np.ndarray
@@ -133,11 +133,11 @@ def predict(
     horizon: Horizon = WHOLE_MOTION,
     set_angles: Sequence[float] = STRAIGHT,
 ) -> Prediction | None:
-    """Predict the string of a trial; None if the trial predicts nothing.
+    """Predict the string of a trial.
 
-    That is so if the string moves from the beginning, or the hand never does.
+    Returns None if the string moves from the beginning or the hand hardly moves.
 
-    set_angles: by which strings are bent from end to end at rest [rad].
+    set_angles: angles by which strings are bent from end to end at rest [rad].
     """
     length = measured.length
     if recording.starts_moving or recording.is_restless or length is None:
@@ -157,7 +157,7 @@ def predict(
     if in_span.sum() < MIN_FRAMES:
         return None
     moving_t, moving_pose = t[in_span].astype(float), pose[in_span].astype(float)
-    # Many corrections change points alone: the same hands are simulated again
+    # Cached, because many corrections change only the points
     times, nodes = _KEPT_LADDERS.find_or_make(
         [moving_t, moving_pose, np.array([length, *set_angles])],
         lambda: simulate_ladder(length, set_angles, moving_t, moving_pose),
@@ -168,14 +168,14 @@ def predict(
 def simulate_ladder(
     length: float, set_angles: Sequence[float], t: np.ndarray, pose: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate strings of the ladder in a hand; return `Prediction.t` and `.nodes`.
+    """Simulate strings of all stiffnesses; return `Prediction.t` and `.nodes`.
 
     Parameters
     ----------
     length
-        Of the string [m].
+        Length of the string [m].
     set_angles
-        As of `predict`.
+        As in `predict`.
     t, pose
         Times (K,) [s] of the hand and its poses (K, 3).
     """
@@ -195,9 +195,9 @@ _KEPT_LADDERS: ContentCache[tuple[np.ndarray, np.ndarray]] = ContentCache(
 
 
 class MotionSpan(NamedTuple):
-    """When a point moves.
+    """The time in which a point moves.
 
-    begin, until: [s]. path: the largest distance from its first place [m].
+    begin, until: [s]. path: largest distance from its first place [m].
     """
 
     begin: float
@@ -212,7 +212,7 @@ class MotionSpan(NamedTuple):
 def motion_span(
     t: np.ndarray, xy: np.ndarray, length: float, horizon: Horizon
 ) -> MotionSpan:
-    """Find when a point (N, 2) [m] begins to move, with a lead, and what follows."""
+    """Find the time span of a point's (N, 2) [m] motion within a horizon."""
     first_place = np.median(xy[:3], axis=0)
     distance = np.linalg.norm(xy - first_place, axis=1)
     onset = first_beyond(t, distance, MOVED_SHARE * length, float(t[0]))
@@ -234,7 +234,7 @@ def first_beyond(
 def ladder(length: float, set_angle: float) -> tuple[String, np.ndarray]:
     """Return strings of a length [m] and set [rad], and the ladder's parameters (C, P).
 
-    Stiffness grows with length, so that a rung means the same share of the weight.
+    Stiffness is scaled with length, to keep its ratio to the weight.
     """
     string = String(length)
     if set_angle:
@@ -256,7 +256,7 @@ def ladder(length: float, set_angle: float) -> tuple[String, np.ndarray]:
 
 @lru_cache(maxsize=MAX_KEPT_TRACKS)
 def thin_track(track: Track, length: float, horizon: Horizon = WHOLE_MOTION) -> Track:
-    """Return at most MAX_FRAMES finite frames about the track's motion."""
+    """Return at most MAX_FRAMES finite frames of the track's motion."""
     is_known = np.isfinite(track.xy).all(axis=1) & np.isfinite(track.t)
     t, xy = track.t[is_known], track.xy[is_known]
     if not len(t):
@@ -274,7 +274,7 @@ def mean_motion(track: Track, length: float) -> float:
 
 
 def clock_offsets(prediction: Prediction, tracks: list[Track]) -> np.ndarray:
-    """Return offsets (D,) [s] that leave enough of the tracks within the prediction."""
+    """Return offsets (D,) [s] at which tracks overlap enough with the prediction."""
     begin = min(float(track.t[0]) for track in tracks)
     end = max(float(track.t[-1]) for track in tracks)
     low = prediction.t[0] - end
@@ -292,8 +292,8 @@ def track_errors(
 ) -> np.ndarray:
     """Return mean distances (D, C) of a track from predictions, relative to a scale.
 
-    Each distance counts as the scale at most, so that outliers count little. Frames
-    beyond the prediction's end do not count; before its beginning the string rests.
+    Distances are limited to the scale, which reduces the weight of outliers. Frames
+    after the prediction's end are left out; before its beginning the string rests.
     """
     points = prediction.points(s)  # (C, N, 2)
     errors = np.ones((len(offsets), len(points)))
@@ -310,10 +310,10 @@ def _mean_distances(
     scale: float,
     errors: np.ndarray,
 ) -> None:
-    """Average a track's distances from predictions, as `track_errors` returns them.
+    """Average a track's distances from predictions for `track_errors`.
 
-    points: (C, N, 2). track: (F, 2). places: of the frames, in ticks of the prediction,
-    (D, F). errors: ones (D, C), filled in place where enough frames count.
+    points: (C, N, 2). track: (F, 2). places: frame times in ticks of the prediction,
+    (D, F). errors: ones (D, C), filled in place where there are enough frames.
     """
     last = points.shape[1] - 1
     for d in range(places.shape[0]):
@@ -334,6 +334,6 @@ def _mean_distances(
                 x = (1 - share) * first[0] + share * second[0] - track[f, 0]
                 y = (1 - share) * first[1] + share * second[1] - track[f, 1]
                 distance = np.sqrt(x * x + y * y) / scale
-                # not `min`: a string that was lost is as far as the farthest
+                # not `min`: a diverged string (NaN) has the largest distance
                 total += distance if distance < 1.0 else 1.0
             errors[d, c] = total / within

@@ -1,4 +1,4 @@
-"""What was measured: the hand's motion and points of the string, trial by trial."""
+"""Measurements: the hand's motion and points of the string in each trial."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-MIN_OVERLAP = 0.6  # share of a track's frames that a clock offset must leave
-REST_FRAMES = 5  # the median of so many frames gives the place of rest
+MIN_OVERLAP = 0.6  # share of a track's frames that overlap at a clock offset
+REST_FRAMES = 5  # frames whose median is the place at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +59,9 @@ class Recording:
     tracks
         The points of the string, each with a frame at least.
     starts_moving
-        Whether the string is stated to move already when the trial begins.
+        Whether the string is stated to move when the trial begins.
     is_restless
-        Whether it seems to do so against what is stated.
+        Whether it seems to move although it is stated to be at rest.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Measurements:
-    """All trials with the geometry that is stated.
+    """All trials with the stated geometry.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Measurements:
     length
         Length of the string [m]; None if it is not stated.
     base_is_measured
-        Whether the place of the arm is stated to be measured: no other is fitted.
+        Whether the base of the arm is stated to be measured, so that it is not fitted.
     """
 
     recordings: tuple[Recording, ...]
@@ -110,7 +110,7 @@ class Measurements:
 
     @property
     def stated_arc_lengths(self) -> list[float]:
-        """The arc lengths that are stated [m], one for each such track."""
+        """The stated arc lengths of tracks [m]."""
         return [track.s for track in self.tracks if track.s is not None]
 
     @property
@@ -144,7 +144,7 @@ def arm_poses(
     Parameters
     ----------
     joints
-        Joint angles (K, J) [rad], base first, each to the link before.
+        Joint angles (K, J) [rad], base first, each relative to the previous link.
     links
         Lengths of the links (J,) [m].
     base
@@ -155,7 +155,7 @@ def arm_poses(
     ndarray of shape (K, 3)
         x, y [m] and theta [rad].
     """
-    angles = np.cumsum(joints, axis=1)  # of the links to +x
+    angles = np.cumsum(joints, axis=1)  # of the links, from +x
     x = base[0] + (np.cos(angles) * links).sum(axis=1)
     y = base[1] + (np.sin(angles) * links).sum(axis=1)
     return np.stack([x, y, angles[:, -1]], axis=-1)

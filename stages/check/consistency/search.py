@@ -43,16 +43,16 @@ from stringcast.stages.check.consistency.prediction import mean_motion
 from stringcast.stages.check.consistency.record import Measurements
 from stringcast.stages.model.camera import Camera
 
-# an arm casts no shorter and no longer string
+# of strings that an arm can cast
 MIN_CORRECTED_LENGTH_M, MAX_CORRECTED_LENGTH_M = 0.05, 2.0
 # of a correction of rates, over the misfit before: in 15 right datasets of other
-# simulators, half or double rates leave 1.2 to 20 times as much
+# simulators, half or double rates give a ratio of 1.2 to 20
 MAX_RATE_RATIO = 0.6
-WORST_PERFECT_MISFIT = 0.03  # no mistake is looked for below
-MAX_RIGHT_MISFIT = 0.06  # of a correction: beyond, others are tried, too
-RIVAL_MARGIN = 0.03  # others fit as well if their misfit is at most so much larger
+WORST_PERFECT_MISFIT = 0.03  # below it, no mistake is searched
+MAX_RIGHT_MISFIT = 0.06  # of a correction: above it, others are tried, too
+RIVAL_MARGIN = 0.03  # corrections whose misfits differ by less fit equally well
 MIN_SEEN_LENGTH = 0.3  # of the corrected string
-MIN_MOTION = 0.01  # of points, in lengths: less is none
+MIN_MOTION = 0.01  # of points, in lengths: a lower limit in divisions
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ class Answer:
     Attributes
     ----------
     proposals
-        Corrections, the best first. More than one means that the data do not decide.
+        Corrections, the best first; more than one if the data do not decide.
     pairing
-        The trial whose points fit, by the trial of the hand, where they differ.
+        The trial whose points fit, by the trial of the hand; only where they differ.
     """
 
     proposals: Sequence[Proposal] = ()
@@ -82,11 +82,11 @@ class Answer:
 def find_answer(
     measured: Measurements, before: Verdict, camera: Camera | None = None
 ) -> Answer:
-    """Return what would make measurements consistent; nothing if they are.
+    """Return corrections that make measurements consistent; empty if they are.
 
     Single corrections are tried first, then another pairing of trials, then another
-    place of the arm, then pairs of corrections. The later ones are tried, too, where a
-    single correction leaves more than right data do: it may fit by chance.
+    place of the arm, then pairs of corrections. The last two are also tried if a single
+    correction has a larger misfit than right data: it may fit by chance.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def find_answer(
     before
         Their verdict.
     camera
-        The camera whose pixels positions may be in.
+        The camera, in whose pixels positions may be.
     """
     if before.is_consistent:
         return find_silent_mistake(measured, before)
@@ -117,16 +117,16 @@ def find_answer(
 
 
 def fits_as_right_data(proposals: Sequence[Proposal]) -> bool:
-    """Return whether the best proposal leaves no more than right data do."""
+    """Return whether the misfit of the best proposal is that of right data."""
     return bool(proposals) and proposals[0].verdict.misfit < MAX_RIGHT_MISFIT
 
 
 def add_better_proposals(
     simpler: list[Proposal], others: list[Proposal]
 ) -> list[Proposal]:
-    """Return proposals with those others that fit much better, the best first.
+    """Add other proposals that fit much better; return all, the best first.
 
-    Others have more freedom, so that they would always fit a little better.
+    The others have more degrees of freedom and always fit a little better.
     """
     if not simpler:
         return others
@@ -136,10 +136,10 @@ def add_better_proposals(
 
 
 def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
-    """Return a mistake of measurements that are consistent, but fit better without it.
+    """Return a mistake in consistent measurements that fit better without it.
 
-    A similar motion of another trial, a rate and a base that is off a little leave a
-    possible string.
+    The string remains possible with a similar motion of another trial, a wrong rate, or
+    a small error of the base.
     """
     pairing = find_pairing(measured, before)
     if pairing or before.misfit < WORST_PERFECT_MISFIT:
@@ -155,7 +155,7 @@ def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
 def pair_candidates(
     measured: Measurements, singles: Iterable[Correction]
 ) -> Iterator[tuple[Correction, ...]]:
-    """Yield pairs of corrections that people need."""
+    """Yield pairs of corrections that occur in practice."""
     singles = list(singles)
     units = [c for c in singles if isinstance(c, WrongUnit)]
     # with s in another unit, all points would lie at one place
@@ -174,7 +174,7 @@ def consistent_proposals(
     before: Verdict,
     candidates: Iterable[tuple[Correction, ...]],
 ) -> list[Proposal]:
-    """Return the candidates that end in consistent measurements."""
+    """Return the candidates that make measurements consistent."""
     proposals = []
     before_relative = relative_misfit(before)
     for corrections in candidates:
@@ -199,9 +199,9 @@ def consistent_proposals(
 
 
 def relative_misfit(verdict: Verdict) -> float:
-    """Return the misfit over the motion of the points that are looked at.
+    """Return the misfit over the motion of the points in the predicted time.
 
-    At a slower pace there is less of it, and every model is nearer to it.
+    At a slower pace there is less motion in it, and a smaller misfit of any model.
     """
     length = verdict.measured.length
     if length is None or not verdict.misfits:
@@ -219,7 +219,7 @@ def relative_misfit(verdict: Verdict) -> float:
 def falls_at_its_pace(measured: Measurements, verdict: Verdict) -> bool:
     """Return whether no other pace of all clocks fits much better.
 
-    A unit of length that is wrong by a factor of four falls as if in slow motion.
+    With a unit of length wrong by a factor of four, a string falls in slow motion.
     """
     limit = MAX_RATE_RATIO * relative_misfit(verdict)
     for factor in (0.5, 2.0):
@@ -230,7 +230,7 @@ def falls_at_its_pace(measured: Measurements, verdict: Verdict) -> bool:
 
 
 def is_seen_near_hand(measured: Measurements, length: float) -> bool:
-    """Return whether all points of stated arc length are in the string's beginning."""
+    """Return whether all stated arc lengths are in the first part of the string."""
     stated = measured.stated_arc_lengths
     return bool(stated) and max(stated) < MIN_SEEN_LENGTH * length
 

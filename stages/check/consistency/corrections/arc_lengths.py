@@ -1,4 +1,4 @@
-"""Places along the string that are stated wrongly."""
+"""Corrections of wrong arc lengths."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stringcast.data.metadata import DATASET_FILE
 from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
 
-MIN_LENGTH_RATIO = 1.3  # of a stated length that may be another, to the last point
+MIN_LENGTH_RATIO = 1.3  # of a wrong length to the arc length of the last point
 
 
 class CountedFromTip(Correction):
@@ -31,7 +31,7 @@ class CountedFromTip(Correction):
 
 
 class EndsAtLastPoint(Correction):
-    """The string is stated to be much longer than to its last point."""
+    """The stated length is much larger than the arc length of the last point."""
 
     table = DATASET_FILE
     field = "string.length"
@@ -46,7 +46,7 @@ class EndsAtLastPoint(Correction):
 
 
 class ExchangedPoints(Correction):
-    """Two points have each other's arc length."""
+    """The arc lengths of two points are exchanged."""
 
     table = "points"
     field = "s"

@@ -1,4 +1,4 @@
-"""What a correction of a common mistake is."""
+"""The interface of a correction of a common mistake."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from stringcast.stages.check.consistency.record import Measurements
 
 
 class Correction(ABC):
-    """A common mistake and its undoing.
+    """A common mistake and its correction.
 
-    `import` knows the option that undoes a mistake by its class.
+    `import` finds the option for a correction by its class.
 
     Attributes
     ----------
     table, field
-        Where the mistake was made.
+        Table and field of the mistake.
     statement
-        What is wrong.
+        The mistake in words.
     remedy
-        How to undo it in the files of a dataset.
+        How to correct it in the files of a dataset.
     """
 
     table: str
@@ -30,13 +30,13 @@ class Correction(ABC):
 
     @abstractmethod
     def undo(self, measured: Measurements) -> Measurements | None:
-        """Return measurements without the mistake; None if it cannot be there."""
+        """Return measurements without the mistake; None if it is impossible."""
 
 
 def apply_corrections(
     measured: Measurements, corrections: Iterable[Correction]
 ) -> Measurements | None:
-    """Undo mistakes one after another; None if one of them cannot be there."""
+    """Correct mistakes one after another; None if one of them is impossible."""
     for correction in corrections:
         corrected = correction.undo(measured)
         if corrected is None:

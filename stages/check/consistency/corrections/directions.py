@@ -1,4 +1,4 @@
-"""Directions x and y that are others than stated."""
+"""Corrections of the directions of x and y."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stringcast.stages.check.consistency.record import Measurements, Recording, 
 
 
 class PointDirections(Correction):
-    """Directions of the points, but not of the hand, are others.
+    """Directions of the points are wrong, but not those of the hand.
 
     matrix: (2, 2), maps positions to right ones.
     """
@@ -42,7 +42,7 @@ class XLeft(PointDirections):
 
 
 class ExchangedAxes(PointDirections):
-    """The points' x and y have each other's name."""
+    """The points' x and y are exchanged."""
 
     field = "x, y"
     statement = "x and y have changed places"

@@ -12,8 +12,8 @@ from stringcast.data.importers.reader import COUNTS_PER_TURN
 from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.record import Measurements, Recording
 
-MAX_PERMUTED_JOINTS = 3  # of more, only neighbours are exchanged
-MIN_COUNT = 100.0  # joint angles that are counts go beyond
+MAX_PERMUTED_JOINTS = 3  # if there are more, only neighbours are exchanged
+MIN_COUNT = 100.0  # least maximum of joint angles that are counts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class Degrees(Correction):
 class EncoderCounts(Correction):
     """Joint angles are counts of an encoder, which are `zero` at angle 0.
 
-    A reader may have taken such large numbers for degrees already.
+    A reader may have converted such large numbers from degrees.
     """
 
     table = "arm"
@@ -78,7 +78,7 @@ class AbsoluteAngles(Correction):
 class JointOrder(Correction):
     """Joints are in another order.
 
-    order: numbers of the columns in the right order.
+    order: indices of the columns in the right order.
     """
 
     table = "arm"
@@ -92,7 +92,7 @@ class JointOrder(Correction):
 
 
 def joint_corrections(count: int) -> Iterator[Correction]:
-    """Yield corrections of the angles of so many joints."""
+    """Yield corrections of the angles of a number of joints."""
     names = [f"q{number + 1}" for number in range(count)]
     field = ", ".join(names)
     yield Degrees(field=field)

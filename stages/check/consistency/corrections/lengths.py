@@ -1,4 +1,4 @@
-"""Lengths and positions in another unit."""
+"""Corrections of the unit of lengths and positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNITS = {
     "inches": 0.0254,
     "decimetres": 0.1,
 }
-# a unit that is stated can be wrong, too: the right one over the stated one
+# right unit over a wrong stated unit
 RATIOS = {"10": 10.0, "25.4": 25.4, "2.54": 2.54, "1000": 1e3, "100": 1e2, "0.1": 0.1}
 LENGTH_PARTS = ("xy", "s", "length", "hand", "links", "base")
 
@@ -27,8 +27,8 @@ LENGTH_PARTS = ("xy", "s", "length", "hand", "links", "base")
 class LengthField(NamedTuple):
     """A place where lengths may have a wrong unit.
 
-    table, field: the place. subject, target: how the statement begins there, and what
-    the remedy multiplies. parts: the lengths that have the unit.
+    table, field: the place. subject, target: words that begin the statement, and the
+    object of the remedy. parts: the lengths that have the unit.
     """
 
     table: str
@@ -65,9 +65,9 @@ LENGTH_FIELDS = (
 
 @dataclass(frozen=True, kw_only=True)
 class WrongUnit(Correction):
-    """Lengths are in a unit of `factor` metres, or of that many stated units.
+    """Lengths are in a unit of `factor` metres, or of `factor` stated units.
 
-    parts: the lengths that have it.
+    parts: the lengths that have this unit.
     """
 
     table: str
@@ -96,7 +96,7 @@ def unit_corrections() -> Iterator[WrongUnit]:
 
 
 def ratio_corrections() -> Iterator[WrongUnit]:
-    """Yield corrections of positions in another unit than that which is stated."""
+    """Yield corrections of positions whose stated unit is wrong."""
     for text, factor in RATIOS.items():
         yield WrongUnit(
             table="points",
@@ -111,7 +111,7 @@ def ratio_corrections() -> Iterator[WrongUnit]:
 def scale_lengths(
     measured: Measurements, factor: float, parts: Collection[str]
 ) -> Measurements | None:
-    """Multiply some lengths by a factor; None if there are none of a part."""
+    """Multiply some lengths by a factor; None if one of the parts is missing."""
     is_stated = {
         "xy": True,
         "s": bool(measured.stated_arc_lengths),

@@ -1,4 +1,4 @@
-"""Clocks that run at another rate."""
+"""Corrections of clock rates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stringcast.stages.check.consistency.record import Measurements, Recording, 
 
 @dataclass(frozen=True, kw_only=True)
 class PointRate(Correction):
-    """The frame rate of the points is another: times must be `factor` as long."""
+    """The frame rate of the points is wrong: times must be multiplied by `factor`."""
 
     table = "points"
     field = "t"
@@ -24,7 +24,7 @@ class PointRate(Correction):
 
 @dataclass(frozen=True, kw_only=True)
 class Pace(Correction):
-    """Both clocks run in slow motion, or in other ticks, by a factor."""
+    """Both clocks have the same wrong rate or unit, by a factor."""
 
     table = "arm, points"
     field = "t"
