@@ -44,7 +44,7 @@ def whole(tmp_path_factory):
     return folder
 
 
-def test_the_first_cast_is_planned_with_what_the_look_taught(whole):
+def test_the_first_cast_is_planned_with_the_estimate_of_the_look(whole):
     first, second = PLANNED_WITH
     look = load(Estimate, whole / "iterations/00/estimate")
     assert first[1].values() == look.values()
@@ -55,7 +55,7 @@ def test_the_first_cast_is_planned_with_what_the_look_taught(whole):
     )
 
 
-def test_a_look_is_a_trial_of_the_run_and_no_cast(whole):
+def test_a_look_is_a_trial_of_the_run_but_not_a_cast(whole):
     assert list(pd.read_parquet(whole / "arm.parquet")["trial"].unique()) == [
         "look",
         "t01",
@@ -81,13 +81,13 @@ def test_a_run_killed_after_its_look_does_not_look_again(whole, tmp_path):
     assert contents(folder) == contents(whole)
 
 
-def test_a_run_with_a_look_is_verified_to_the_bit(whole, tmp_path):
+def test_a_run_with_a_look_is_verified_exactly(whole, tmp_path):
     outcome = verify_run(looking(), whole, tmp_path, silent)
     assert outcome.is_same, outcome.lines
     assert "iterations/00/motion: the same to the bit" in outcome.lines
 
 
-def test_a_look_that_cannot_be_read_teaches_nothing(tmp_path):
+def test_an_unreadable_look_is_not_used(tmp_path):
     """The first cast is then planned as if there had been none."""
     read = []
 

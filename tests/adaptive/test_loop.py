@@ -67,7 +67,7 @@ def whole(tmp_path_factory):
     return folder
 
 
-def test_a_cast_is_planned_with_the_explanation_of_those_before(whole):
+def test_a_cast_is_planned_with_the_explanation_of_earlier_casts(whole):
     first = load(Explanation, whole / "iterations/01/explanation")
     last = load(Estimate, whole / "iterations/02/estimate")
     assert EARLIER[0] is None
@@ -86,9 +86,7 @@ def test_a_cast_is_planned_with_the_explanation_of_those_before(whole):
     assert planned_with[1].values() == first.values() != last.values()
 
 
-def test_a_run_killed_between_explanation_and_next_cast_ends_as_if_it_was_not(
-    whole, tmp_path
-):
+def test_a_run_killed_before_the_next_cast_resumes_identically(whole, tmp_path):
     def struck(model, target, obstacles, motion, estimate, *, seed, progress):
         if estimate is not None:
             raise Killed
@@ -106,14 +104,14 @@ def test_a_run_killed_between_explanation_and_next_cast_ends_as_if_it_was_not(
     assert contents(folder) == contents(whole)
 
 
-def test_an_adaptive_run_is_verified_to_the_bit(whole, tmp_path):
+def test_an_adaptive_run_is_verified_exactly(whole, tmp_path):
     outcome = verify_run(adaptive(), whole, tmp_path, silent)
     assert outcome.is_same, outcome.lines
     assert "iterations/02/explanation: the same to the bit" in outcome.lines
     assert "iterations/02/surprise: the same to the bit" in outcome.lines
 
 
-def test_a_run_says_what_its_model_lacked(whole):
+def test_a_run_states_the_missing_causes_of_its_model(whole):
     sentence = json.loads((whole / "run.json").read_text())["sentence"]
     assert "The model lacked wind." in sentence
     named = load(Explanation, whole / "iterations/02/explanation")
@@ -127,7 +125,7 @@ def test_a_run_says_what_its_model_lacked(whole):
         assert describe_lack(replace(named, finding=finding)) == words
 
 
-def test_nothing_is_learned_from_a_trial_that_cannot_be_read(tmp_path):
+def test_an_unreadable_trial_is_not_used(tmp_path):
     """The first cast is not read: the run goes on, and learns from the second alone."""
     read = []
 
@@ -162,7 +160,7 @@ def test_verify_notices_another_explanation(whole, tmp_path):
 
 
 @pytest.mark.parametrize("entered", [True, False])
-def test_a_tip_that_came_into_the_box_in_another_way_is_stated(entered):
+def test_a_tip_that_enters_the_box_without_a_hit_is_stated(entered):
     """It came within 8 mm of the centre, at 8 m/s where 14 m/s were wanted."""
     found = {Points: SimpleNamespace(readings=READINGS.empty())}
     verdict = HitResult(False, 0.25, 0.008, entered=entered)

@@ -293,9 +293,7 @@ CERTAIN = {
 
 
 @pytest.mark.parametrize("kind", CERTAIN)
-def test_a_certain_error_is_named_with_its_remedy_and_nothing_runs_on_it(
-    dirty, tmp_path, kind
-):
+def test_an_error_has_a_remedy_and_stops_runs(dirty, tmp_path, kind):
     spoil, place, remedy = CERTAIN[kind]
     spoil(dirty)
     here = read_checked(dirty.write(tmp_path))
@@ -329,7 +327,7 @@ AT_THE_TIP = (
 
 
 @pytest.mark.parametrize("kind", AT_THE_TIP)
-def test_tips_alone_are_enough_to_refuse_it(dirty, tmp_path, kind):
+def test_an_error_is_found_from_tips_alone(dirty, tmp_path, kind):
     """The tip alone suffices to refuse the dataset.
 
     Another mistake may explain it too, but the presence of a mistake is certain.
@@ -474,7 +472,7 @@ SUSPICIOUS = {
 
 
 @pytest.mark.parametrize("kind", SUSPICIOUS)
-def test_what_is_suspicious_is_told_to_people_and_programs(dirty, tmp_path, kind):
+def test_warnings_are_shown_as_text_and_as_json(dirty, tmp_path, kind):
     spoil, place, remedy = SUSPICIOUS[kind]
     spoil(dirty)
     here = read_checked(dirty.write(tmp_path))
@@ -491,7 +489,7 @@ def test_what_is_suspicious_is_told_to_people_and_programs(dirty, tmp_path, kind
         assert all(one[name] for name in ("file", "field", "statement", "remedy")), one
 
 
-def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
+def test_the_suggested_command_describes_the_arm(dirty, tmp_path):
     undescribed(dirty)
     (told,) = findings_in(dirty.write(tmp_path))
     assert told.sentence.startswith(
@@ -501,7 +499,7 @@ def test_the_command_that_describes_the_arm_mends_it(dirty, tmp_path):
     assert findings_in(tmp_path) == []
 
 
-def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
+def test_data_without_a_usable_trial_state_the_reason(dirty, called, tmp_path):
     none_left(dirty)
     done = called("check", dirty.write(tmp_path))
     assert done.returncode == 1
@@ -512,14 +510,14 @@ def test_data_of_which_no_trial_is_left_say_why(dirty, called, tmp_path):
     assert done.stdout.strip().endswith("Not usable: 1 error.")
 
 
-def test_the_sample_is_clean_as_joints_and_as_poses_and_in_csv(dirty, tmp_path):
+def test_the_sample_has_no_findings_as_joints_poses_or_csv(dirty, tmp_path):
     assert findings_in(SAMPLE) == []
     assert findings_in(dirty.write(tmp_path)) == []
     (tmp_path / "arm.csv").unlink()
     assert findings_in(dirty.with_poses().write(tmp_path)) == []
 
 
-def test_harmless_dirt_is_noted_and_no_more(dirty, tmp_path):
+def test_harmless_faults_give_only_notes(dirty, tmp_path):
     dirty.points.loc[100, "y"] = np.nan
     dirty.points = (
         pd.concat([dirty.points, dirty.points.iloc[:40]])
@@ -570,7 +568,7 @@ DIRT = {
 
 
 @pytest.mark.parametrize("kind", DIRT)
-def test_dirty_data_are_read_as_the_clean_ones(dirty, tmp_path, kind):
+def test_faulty_rows_do_not_change_the_data_read(dirty, tmp_path, kind):
     for name in ("clean", "dirty"):
         (tmp_path / name).mkdir()
     clean = dataset.read_dataset(dirty.write(tmp_path / "clean"))
@@ -602,9 +600,7 @@ def from_its_start(table):
 
 
 @pytest.mark.parametrize("share", [0.3, 1.0])
-def test_a_string_of_many_casts_is_clean_whatever_points_are_seen(
-    dirty, tmp_path, share
-):
+def test_right_casts_have_no_findings_whichever_points_are_seen(dirty, tmp_path, share):
     """Fewer points, fewer frames, or the tip alone are not suspicious."""
     kept = dirty.points["s"] >= (1 - 1e-9) * dirty.length * share
     dirty.points = dirty.points[kept]
@@ -635,7 +631,7 @@ def test_every_check_can_find_something():
     ("unit", "size", "slow"),
     [("centimetres", 1e2, 1.0), ("millimetres", 5e2, np.sqrt(0.5))],
 )
-def test_where_two_units_fit_the_fall_decides_and_both_are_said(
+def test_if_two_units_fit_the_fall_decides_and_both_are_stated(
     dirty, tmp_path, share, unit, size, slow
 ):
     """Where two units fit, the fall decides, and both are reported.
@@ -663,7 +659,7 @@ def test_where_two_units_fit_the_fall_decides_and_both_are_said(
         (1.0, 10.0, "are in decimetres", "by 0.1"),
     ],
 )
-def test_a_string_that_falls_as_nothing_does_is_told(
+def test_a_fall_that_contradicts_gravity_is_reported(
     dirty, tmp_path, times, lengths, said, advice
 ):
     """A string that falls impossibly is reported.
@@ -730,7 +726,7 @@ PICTURES = {
 
 
 @pytest.mark.parametrize("kind", PICTURES)
-def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
+def test_a_camera_that_cannot_show_the_string_is_reported(kind):
     changed, said = PICTURES[kind]
     camera = Camera(
         **{
@@ -753,7 +749,7 @@ def test_a_picture_is_of_the_plane_and_of_the_strings_size(kind):
     assert not said or re.match(said, told[0]), told
 
 
-def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(
+def test_the_command_describes_the_data_and_its_status_states_usability(
     dirty, called, tmp_path
 ):
     good = called("check", SAMPLE)
@@ -778,7 +774,7 @@ def test_the_command_says_what_is_there_and_its_status_whether_it_is_usable(
     assert {file.name for file in tmp_path.iterdir()} == before
 
 
-def test_a_page_shows_what_was_measured_and_found(dirty, called, undrawn, tmp_path):
+def test_a_page_shows_measurements_and_findings(dirty, called, undrawn, tmp_path):
     scaled("points", ["x", "y"], 1e3)(dirty)
     done = called("check", dirty.write(tmp_path), "--report", tmp_path / "page.html")
     assert done.stdout.strip().endswith("page.html")
@@ -814,7 +810,9 @@ NOT_TRIED = {"contact": "it depends on the place"}
 @pytest.mark.parametrize(
     ("seconds", "frequency"), [((0.9, 2.05), None), ((1.0, 4.0), 8), ((10.0, 4.0), 3)]
 )
-def test_a_long_trial_is_noted_with_what_a_diagnosis_follows_in_it(seconds, frequency):
+def test_the_frequency_that_a_diagnosis_resolves_is_noted_for_a_long_trial(
+    seconds, frequency
+):
     trials = [
         SimpleNamespace(name=f"t{k}", frame_t=np.arange(0, end, 1 / 240))
         for k, end in enumerate(seconds)
@@ -829,7 +827,7 @@ def test_a_long_trial_is_noted_with_what_a_diagnosis_follows_in_it(seconds, freq
     assert set(finding.trials) == {f"t{k}" for k in range(2) if seconds[k] > 2}
 
 
-def test_what_the_trials_can_tell_is_said_where_it_is_asked(
+def test_detection_limits_are_shown_if_requested(
     dirty, called, undrawn, tmp_path, monkeypatch
 ):
     asked = []
@@ -868,7 +866,7 @@ def test_what_the_trials_can_tell_is_said_where_it_is_asked(
 
 
 @pytest.mark.long
-def test_what_the_sample_can_tell(called):
+def test_detection_limits_of_the_sample(called):
     """The sample reveals small offsets.
 
     It has half a metre of string and thousands of readings. It shows a camera offset of
@@ -889,7 +887,7 @@ def test_what_the_sample_can_tell(called):
     assert all(each["tip_m"] >= 4.99e-4 for each in told.values())
 
 
-def test_what_cannot_be_read_is_one_error(called, tmp_path):
+def test_unreadable_data_are_one_error(called, tmp_path):
     shutil.copytree(SAMPLE, tmp_path / "cut")
     file = tmp_path / "cut" / "points.parquet"
     file.write_bytes(file.read_bytes()[:-100])
@@ -934,7 +932,7 @@ UNREAD = {  # file, field, and words of the remedy
 
 
 @pytest.mark.parametrize("spoil", UNREAD, ids=lambda spoil: spoil.__name__)
-def test_what_cannot_be_read_names_file_field_and_remedy(
+def test_an_error_in_unreadable_data_names_file_field_and_remedy(
     dirty, called, tmp_path, spoil
 ):
     spoil(dirty.write(tmp_path))
@@ -947,9 +945,7 @@ def test_what_cannot_be_read_names_file_field_and_remedy(
     assert re.search(remedy, finding["remedy"])
 
 
-def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
-    dirty, tmp_path
-):
+def test_clocks_with_and_without_the_epoch_of_1970_are_reported(dirty, tmp_path):
     dirty.arm["t"] += 1.764e9
     reasons = [
         f.statement
@@ -963,7 +959,7 @@ def test_a_clock_that_counts_since_1970_beside_one_that_does_not_is_told(
 
 @pytest.mark.skipif(not MEASURED.exists(), reason="the measured sets are not here")
 @pytest.mark.parametrize("name", ["l4dc_strip_video", "tudelft_cable_fr3"])
-def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_is_told(
+def test_real_strings_have_no_errors_except_the_missing_description(
     name,
 ):
     told = collect_findings(read_measurements(MEASURED / name, []))
@@ -988,7 +984,7 @@ def test_of_real_strings_nothing_is_certainly_wrong_but_the_missing_description_
         (("check",), ""),
     ],
 )
-def test_options_that_cannot_be_understood_are_a_finding_in_json(called, words, field):
+def test_invalid_options_are_a_finding_in_json(called, words, field):
     done = called(*words, "--json")
     (finding,) = json.loads(done.stdout)["findings"]
     assert done.returncode == 1

@@ -60,7 +60,7 @@ def late(seen, by, tip_alone=True):
 
 @pytest.mark.parametrize("tip_alone", [True, False])
 @pytest.mark.parametrize("by", [12.345, -7200.0])
-def test_geometry_leaves_a_few_frames_about_the_true_offset_of_casts(by, tip_alone):
+def test_geometry_limits_the_offset_of_casts_to_a_few_frames(by, tip_alone):
     windows = possible_windows([late(seen, by, tip_alone) for seen in TRIALS])
     assert set(windows) == {seen.name for seen in TRIALS}
     (window,) = set(windows.values())
@@ -68,7 +68,7 @@ def test_geometry_leaves_a_few_frames_about_the_true_offset_of_casts(by, tip_alo
     assert window.high - window.low < 10 * FRAME_S
 
 
-def test_each_trial_may_have_a_window_of_its_own():
+def test_each_trial_may_have_its_own_window():
     given = {"t00": 3.0, "t03": -5.0}
     windows = possible_windows(
         [late(seen, given[seen.name]) for seen in TRIALS if seen.name in given]
@@ -100,7 +100,7 @@ def test_outliers_do_not_narrow_a_window(step):
     )
 
 
-def test_clocks_of_a_string_that_never_moves_stay_unknown():
+def test_the_offset_of_a_string_that_never_moves_is_refused():
     seen = TRIALS[0]
     points = seen.points.assign(x=0.1, y=0.2)
     still = replace(seen, observation=replace(seen.observation, points=points))
@@ -108,7 +108,7 @@ def test_clocks_of_a_string_that_never_moves_stay_unknown():
         possible_windows([still])
 
 
-def test_the_string_model_tells_the_offset_within_its_interval(monkeypatch):
+def test_the_estimated_offset_is_within_its_interval(monkeypatch):
     """The interval holds the truth although the sample hides a cause."""
     # a fit that only a refusal needs
     monkeypatch.delattr(offset, "explained_by_offset")
@@ -126,7 +126,7 @@ def test_the_string_model_tells_the_offset_within_its_interval(monkeypatch):
     assert best == pytest.approx(-by, abs=FRAME_S)
 
 
-def test_strings_are_sought_up_to_a_clamped_strip():
+def test_ranges_of_stiffness_include_a_clamped_strip():
     plain = plain_model(CHECKED)
     wide = model_up_to_strips(plain)
     by_name = {parameter.name: parameter for parameter in wide.string.parameters}
@@ -153,7 +153,7 @@ def push_aside(observation, acceleration):
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
-def test_trials_that_something_unknown_moves_keep_one_clock(seed):
+def test_an_unknown_disturbance_does_not_separate_clocks(seed):
     """The fit with one clock begins again from the string that own clocks found.
 
     Without this, trials got clocks of their own that were up to 290 ms off.
@@ -172,7 +172,7 @@ def test_trials_that_something_unknown_moves_keep_one_clock(seed):
 
 
 @pytest.mark.long
-def test_trials_with_clocks_of_their_own_get_offsets_of_their_own():
+def test_trials_with_separate_clocks_get_separate_offsets():
     given_s = {"t00": 0.0, "t01": 0.06, "t02": -0.04}
     trials = [
         late(seen, given_s[seen.name], tip_alone=False).observation
@@ -189,7 +189,7 @@ def test_trials_with_clocks_of_their_own_get_offsets_of_their_own():
 
 
 @pytest.mark.long
-def test_a_clock_that_runs_slow_is_named_within_its_interval():
+def test_the_drift_of_a_slow_clock_is_within_its_interval():
     """The arm's clock gains 2 % on the camera's."""
     slow = []
     for seen in TRIALS[:2]:
@@ -221,7 +221,7 @@ def clock_with(log_likelihoods, misfit_m):
         ((10.0,), (0.08,), False),
     ],
 )
-def test_more_freedom_of_clocks_needs_evidence_and_explains_half_of_the_misfit(
+def test_more_clock_parameters_need_evidence_and_half_of_the_misfit(
     gains, left_m, is_believed, monkeypatch
 ):
     monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
@@ -230,7 +230,7 @@ def test_more_freedom_of_clocks_needs_evidence_and_explains_half_of_the_misfit(
     assert clock_fit.explains_more(fuller, simpler) == is_believed
 
 
-def test_offsets_that_scatter_beyond_their_posterior_state_by_how_much():
+def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
     """Of equal deviations, the scatter is what the variance of the means exceeds."""
     mean = np.array([0.01, -0.02, 0.03, 0.0])
     own = BackgroundPosterior(mean, 0.005**2 * np.eye(4))
@@ -260,7 +260,7 @@ def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
     assert interval.high - interval.low == pytest.approx(expected_s)
 
 
-def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
+def test_only_a_wrong_clock_is_refused():
     model = plain_model(CHECKED)
     rng = np.random.default_rng(0)
     trials = [late(seen, 0.0).observation for seen in TRIALS[:2]]
@@ -271,7 +271,7 @@ def test_a_wrong_clock_is_refused_and_a_right_one_is_not():
 
 
 @pytest.mark.parametrize(("explained", "is_refused"), [(0.3, False), (0.8, True)])
-def test_an_offset_that_leaves_most_of_the_misfit_is_not_certain(
+def test_an_offset_that_explains_little_misfit_is_not_certain(
     explained, is_refused, monkeypatch
 ):
     """A string that the model does not describe fits a little better at some offset."""
@@ -286,7 +286,7 @@ def test_an_offset_that_leaves_most_of_the_misfit_is_not_certain(
     assert (answer is found) == is_refused
 
 
-def test_a_trial_whose_clock_is_right_makes_no_other_certain(monkeypatch):
+def test_a_right_clock_in_one_trial_does_not_make_others_certain(monkeypatch):
     right, wrong = Interval(0.0, -0.01, 0.01), Interval(0.2, 0.1, 0.3)
     found = ClockOffset({"t00": right, "t01": wrong}, False, None, pd.DataFrame())
     fitted = FittedOffset(found, ["right", "wrong"], [Window(-0.3, 0.3)] * 2)
@@ -358,7 +358,7 @@ def test_a_stated_interval_is_the_range_of_the_offset_in_every_model(tmp_path):
     assert plain["effects"] == []
 
 
-def test_a_wide_interval_is_noted_with_what_would_mend_it(tmp_path):
+def test_a_wide_interval_is_noted_with_a_remedy(tmp_path):
     wide = read_measurements(
         write_with_clock(tmp_path / "wide", {"low": -0.02, "high": 0.02}), []
     )
@@ -376,7 +376,7 @@ def test_a_wide_interval_is_noted_with_what_would_mend_it(tmp_path):
 @pytest.mark.parametrize(
     "clock", [{"low": 0.1, "high": -0.1}, {"low": 0.0}, {"offset": 3.0}]
 )
-def test_a_clock_that_is_no_interval_is_refused(tmp_path, clock):
+def test_an_invalid_clock_interval_is_refused(tmp_path, clock):
     folder = write_with_clock(tmp_path / "wrong", clock)
     with pytest.raises(DataError, match=r"dataset.yaml: clock"):
         read_metadata(folder)

@@ -84,7 +84,7 @@ def correction_classes(proposal):
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_has_one_answer(measured, mistake):
+def test_a_mistake_has_one_correction(measured, mistake):
     correction, spoil = MISTAKES[mistake]
     spoilt = spoil(measured)
     (proposal,) = find_answer(spoilt, judge(spoilt)).proposals
@@ -106,7 +106,7 @@ def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
     assert proposal.verdict.measured.length == pytest.approx(0.32, rel=0.05)
 
 
-def test_a_base_that_the_motion_does_not_show_is_asked_for(measured):
+def test_a_base_that_the_motion_does_not_determine_is_requested(measured):
     """Without a length, a longer string in a higher hand moves alike."""
     x, y = measured.base
     elsewhere = replace(measured, length=None, base=(x, y + 0.2))
@@ -151,12 +151,12 @@ def test_a_string_with_a_set_is_a_warning(seed):
     assert not find_answer(measured, verdict).proposals
 
 
-def test_a_right_pace_stays_though_slower_points_would_move_less():
+def test_a_right_pace_is_kept_although_slower_points_move_less():
     measured = scene_measurements("own_kernel", 3)
     assert not find_answer(measured, judge(measured)).proposals
 
 
-def test_a_soft_string_in_a_clamp_needs_no_answer():
+def test_a_soft_string_in_a_clamp_needs_no_correction():
     """It leaves the hand in its direction, and hangs down a few centimetres from it.
 
     Strings in grasps that yield hang elsewhere. An arm elsewhere would explain that.
@@ -167,7 +167,7 @@ def test_a_soft_string_in_a_clamp_needs_no_answer():
     assert not find_answer(clamped, verdict).proposals
 
 
-def test_a_soft_string_in_a_clamp_hangs_as_one_that_is_tried():
+def test_the_ladder_contains_the_rest_shape_of_a_soft_string_in_a_clamp():
     """A beam with the stiffness of a rung is clamped in a hand that points ahead.
 
     Of N rigid pieces, its potential energy is least at rest:
@@ -200,7 +200,7 @@ def test_a_soft_string_in_a_clamp_hangs_as_one_that_is_tried():
     assert apart_m[clamped] < 0.01 * length
 
 
-def test_no_place_of_an_arm_is_fitted_where_it_was_measured(measured):
+def test_a_measured_place_of_the_arm_is_not_fitted(measured):
     x, y = measured.base
     elsewhere = replace(measured, base=(x + 0.1, y + 0.05))
     answer = find_answer(elsewhere, judge(elsewhere))
@@ -209,7 +209,7 @@ def test_no_place_of_an_arm_is_fitted_where_it_was_measured(measured):
     assert not find_answer(stated, judge(stated)).proposals
 
 
-def test_what_is_right_needs_no_answer(measured):
+def test_right_data_need_no_correction(measured):
     verdict = judge(measured)
     assert verdict.is_consistent
     answer = find_answer(measured, verdict)
@@ -218,7 +218,7 @@ def test_what_is_right_needs_no_answer(measured):
 
 
 @pytest.mark.parametrize(("wrong_frames", "is_broken"), [(2, False), (10, True)])
-def test_a_string_at_rest_may_have_outliers_among_its_first_frames(
+def test_outliers_in_the_first_frames_do_not_break_limits(
     measured, wrong_frames, is_broken
 ):
     def move(track):
@@ -232,7 +232,7 @@ def test_a_string_at_rest_may_have_outliers_among_its_first_frames(
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("kind", UNUSUAL)
-def test_unusual_but_right_geometry_is_left_alone(kind, seed):
+def test_unusual_but_right_geometry_is_not_corrected(kind, seed):
     measured = scene_measurements("nodal", seed, **UNUSUAL[kind])
     verdict = judge(measured)
     assert verdict.is_consistent, verdict.misfits

@@ -54,7 +54,7 @@ def resting(gravity_length, curvature=0.0, noise_m=0.0):
 
 @pytest.mark.parametrize("length", [LENGTH_M, None])
 @pytest.mark.parametrize("gravity_length", GRAVITY_LENGTHS_M)
-def test_points_of_a_clamped_rod_are_found_along_it(gravity_length, length):
+def test_arc_lengths_of_points_on_a_clamped_rod_are_found(gravity_length, length):
     hanging = fit_hanging_string(resting(gravity_length), length)
     assert [*hanging.arc_lengths] == [*NAMES]
     found = np.array([*hanging.arc_lengths.values()])
@@ -62,20 +62,20 @@ def test_points_of_a_clamped_rod_are_found_along_it(gravity_length, length):
     assert hanging.misfit_m < 5e-4
 
 
-def test_a_stiff_rod_is_longer_than_its_points_are_far():
+def test_arc_lengths_on_a_stiff_rod_exceed_distances_from_the_hand():
     """What a limp string would be: the fit is not of what distances say anyway."""
     chords = resting(GRAVITY_LENGTHS_M[1]).chords
     assert chords[1] < PLACES_M[1] - 0.004
     assert chords[2] < PLACES_M[2] - 0.004
 
 
-def test_a_set_is_told_from_length():
+def test_set_and_length_are_distinguished():
     found = fit_hanging_string(resting(0.06, curvature=4.0), None).arc_lengths
     np.testing.assert_allclose([*found.values()], PLACES_M, atol=1.5e-3)
 
 
 @pytest.mark.parametrize("gravity_length", GRAVITY_LENGTHS_M)
-def test_a_string_that_leaves_the_hand_elsewhere_moves_points_by_4_mm_at_most(
+def test_a_wrong_direction_of_the_hand_causes_errors_of_at_most_4_mm(
     gravity_length,
 ):
     """The hand's direction is off by 0.2 rad."""
@@ -85,12 +85,12 @@ def test_a_string_that_leaves_the_hand_elsewhere_moves_points_by_4_mm_at_most(
     np.testing.assert_allclose([*found.values()], PLACES_M, atol=4e-3)
 
 
-def test_noise_moves_points_by_no_more_than_itself():
+def test_errors_by_noise_are_no_larger_than_the_noise():
     found = fit_hanging_string(resting(0.06, noise_m=5e-4), LENGTH_M).arc_lengths
     np.testing.assert_allclose([*found.values()], PLACES_M, atol=1e-3)
 
 
-def test_a_limp_string_hangs_straight_wherever_the_hand_points():
+def test_a_limp_string_hangs_straight_for_any_hand_angle():
     hands = np.column_stack([np.zeros(4), np.zeros(4), HAND_ANGLES + 2.0])
     straight = np.column_stack([np.zeros(3), -PLACES_M])
     straight_in_each = np.repeat(straight[None], 4, axis=0)
@@ -100,7 +100,7 @@ def test_a_limp_string_hangs_straight_wherever_the_hand_points():
         np.testing.assert_allclose([*found.values()], PLACES_M, atol=5e-4)
 
 
-def test_a_stated_length_is_kept_and_the_other_points_hang_where_they_do():
+def test_a_stated_length_is_kept_and_other_arc_lengths_are_fitted():
     found = fit_hanging_string(resting(0.06), 0.33).arc_lengths
     assert found["tip"] == pytest.approx(0.33, abs=1e-12)
     assert found["mid"] == pytest.approx(0.16, abs=1e-3)
@@ -115,7 +115,7 @@ def test_a_point_at_the_grasp_is_at_the_beginning_of_the_string():
         np.testing.assert_allclose([*found.values()], [0, 0.15, 0.3], atol=1e-3)
 
 
-def test_no_point_is_beyond_the_end():
+def test_no_arc_length_exceeds_that_of_the_end():
     """The mean of two points at the end is nearer to the hand than the end."""
     places = np.array([[[0.0, -0.3], [0.001, -0.3]], [[0.001, -0.301], [0.0, -0.299]]])
     hands = np.tile([0.0, 0.0, -0.5], (2, 1))
@@ -137,7 +137,7 @@ def recording(name, hand_x, places, starts_moving=False):
     return Recording(name, t, None, hand, tuple(tracks), starts_moving)
 
 
-def test_points_rest_where_they_were_at_first_seen_from_the_hand():
+def test_resting_points_are_collected_from_trials_that_begin_at_rest():
     """The nearest comes first, and a string that moves at first rests nowhere."""
     both = {"tip": -0.3, "mid": -0.1}
     recordings = [
@@ -173,5 +173,7 @@ def test_a_point_that_moves_in_its_first_frames_does_not_rest():
         [recording("moving", 0.0, {"tip": -0.3}, starts_moving=True)],
     ],
 )
-def test_nothing_rests_where_no_point_is_seen_at_rest_away_from_the_grasp(recordings):
+def test_no_resting_points_are_found_without_points_at_rest_beyond_the_grasp(
+    recordings,
+):
     assert find_resting_points(Measurements(tuple(recordings))) is None

@@ -44,13 +44,13 @@ TOGETHER = np.arange(150, 190)
 
 @pytest.mark.parametrize("rows", [ALONE, TOGETHER], ids=["alone", "together"])
 @pytest.mark.parametrize("step", [0.0, 1e-4])
-def test_a_held_point_is_found(rows, step):
+def test_a_repeated_point_is_found(rows, step):
     mask = held_mask(held(swing(step=step), rows), EXTENT)
     assert mask[rows].mean() > 0.9
     assert mask.sum() <= len(rows) + 2
 
 
-def test_a_point_that_was_held_to_the_end_is_found():
+def test_a_point_that_is_repeated_to_the_end_is_found():
     rows = np.arange(300, COUNT)
     assert held_mask(held(swing(), rows), EXTENT)[rows].all()
 
@@ -69,12 +69,12 @@ def test_a_grasp_that_stops_within_three_samples_is_not_lost():
 @pytest.mark.parametrize("step", [0.0, 1e-4, 1e-3, 8e-3])
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("rest", [0, 300])
-def test_points_that_are_quantised_or_rest_are_not_held(step, noise, rest):
+def test_quantised_or_resting_points_are_not_lost(step, noise, rest):
     """Of honest points, at most one in a hundred is taken for a held one."""
     assert held_mask(swing(noise, step, rest), EXTENT).mean() < 0.01
 
 
-def test_outliers_hold_no_quantised_point_at_rest():
+def test_a_quantised_point_at_rest_with_outliers_is_not_lost():
     xy = swing(0.0, 8e-3, rest=COUNT)
     xy[RNG.choice(COUNT, 20, replace=False)] += 0.2
     assert held_mask(xy, EXTENT).mean() < 0.01
@@ -92,7 +92,7 @@ def test_a_fixed_position_is_found(place, share):
 
 
 @pytest.mark.parametrize("step", [0.0, 1e-3, 8e-3])
-def test_a_point_that_passes_the_origin_or_stays_there_is_measured(step):
+def test_a_point_that_passes_or_rests_at_the_origin_is_not_lost(step):
     xy = swing(step=step)
     assert not fixed_position_mask(xy)[0].any()
     assert not fixed_position_mask(np.zeros_like(xy))[0].any()
@@ -113,7 +113,7 @@ def test_rows_of_zeros_are_found(rows):
     assert (zero_row_mask(values) == is_zero).all()
 
 
-def test_a_hand_at_its_zero_pose_is_measured():
+def test_a_hand_at_its_zero_pose_is_not_lost():
     assert not zero_row_mask(angles()).any()
     assert not zero_row_mask(angles()[::-1]).any()
     assert not zero_row_mask(np.zeros((COUNT, 3))).any()
@@ -164,7 +164,7 @@ def test_rows_of_zeros_are_an_error_and_the_command_leaves_them_out(dirty, tmp_p
     ],
     ids=["float32", "coarse"],
 )
-def test_times_that_say_nothing_of_the_row_are_named_and_no_clock_is_proposed(
+def test_useless_times_are_reported_and_no_clock_is_proposed(
     dirty, tmp_path, stamps, words
 ):
     here = dirty.points["trial"] == "t03"

@@ -25,13 +25,13 @@ def mark_findings(dirty, folder):
     return [f for f in findings_in(dirty.write(folder)) if "hang as if" in f.statement]
 
 
-def test_marks_where_they_are_stated_are_left_alone(few_marks, tmp_path):
+def test_right_marks_give_no_warning(few_marks, tmp_path):
     dirty, _ = few_marks
     assert not mark_findings(dirty, tmp_path)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_mark_stated_elsewhere_is_found_with_its_place(few_marks, tmp_path, sign):
+def test_a_wrong_mark_is_found_with_its_place(few_marks, tmp_path, sign):
     dirty, (_, place, _) = few_marks
     is_mark = dirty.points["s"] == place
     dirty.points.loc[is_mark, "s"] = place + sign * SHIFT_M
@@ -43,7 +43,7 @@ def test_a_mark_stated_elsewhere_is_found_with_its_place(few_marks, tmp_path, si
 
 
 @pytest.mark.parametrize("change", ["two trials", "moving", "another hand"])
-def test_strings_that_do_not_show_it_are_left_alone(few_marks, tmp_path, change):
+def test_strings_that_do_not_show_marks_give_no_warning(few_marks, tmp_path, change):
     """They hang in too few ways, do not hang, or hang otherwise than in this hand."""
     dirty, (_, place, _) = few_marks
     dirty.points.loc[dirty.points["s"] == place, "s"] = place + SHIFT_M
@@ -58,14 +58,14 @@ def test_strings_that_do_not_show_it_are_left_alone(few_marks, tmp_path, change)
     assert not mark_findings(dirty, tmp_path)
 
 
-def test_a_whole_line_is_no_mark(tmp_path):
+def test_a_whole_centre_line_is_not_checked(tmp_path):
     """Its arc lengths are measured in the picture, and of all points alike."""
     dirty = Dirty()
     dirty.points["s"] *= 1 + 0.1 * np.sin(9 * dirty.points["s"])
     assert not mark_findings(dirty, tmp_path)
 
 
-def test_marks_that_are_seen_by_turns_are_no_places_of_rest(tmp_path):
+def test_marks_seen_in_alternate_frames_are_not_checked(tmp_path):
     """Of six marks of a string of 1 m two are seen in each frame.
 
     Places between them are followed, which have numbers and not arc lengths for names.

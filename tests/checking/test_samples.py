@@ -60,7 +60,7 @@ NOTED = {
 }
 
 
-def test_gross_outliers_change_neither_rest_nor_onset_nor_fall(dirty, tmp_path):
+def test_gross_outliers_do_not_change_rest_onset_or_fall(dirty, tmp_path):
     clean = read_checked(dirty.write(write_samples(tmp_path / "clean")))
     frames = dirty.points.groupby(["trial", "t"]).ngroup()
     is_out = np.isin(frames, RNG.choice(frames.max() + 1, frames.max() // 20))
@@ -84,7 +84,7 @@ def test_a_tip_hidden_for_half_of_the_time_does_not_seem_to_fall(dirty, tmp_path
 
 
 @pytest.mark.parametrize("spoil", NOTED, ids=lambda spoil: spoil.__name__)
-def test_what_needs_no_action_is_noted(dirty, tmp_path, spoil):
+def test_findings_without_action_are_notes(dirty, tmp_path, spoil):
     spoil(dirty)
     field, words = NOTED[spoil]
     (told,) = findings_in(dirty.write(tmp_path))
@@ -122,7 +122,7 @@ def state_noise(dirty):
     [rounded, jittered, dropped, state_noise],
     ids=lambda change: change.__name__,
 )
-def test_what_is_usual_is_not_noted(dirty, tmp_path, change):
+def test_usual_data_have_no_notes(dirty, tmp_path, change):
     change(dirty)
     assert findings_in(dirty.write(tmp_path)) == []
 
@@ -143,7 +143,7 @@ def test_scatter_of_uneven_frames_is_that_of_the_noise(share):
     assert np.std(scatter) == pytest.approx(1e-3, rel=0.1)
 
 
-def test_a_grid_is_told_from_numbers_of_many_digits():
+def test_a_grid_is_distinguished_from_numbers_with_many_digits():
     values = RNG.random(500)
     assert grid_step(values) == 0
     assert grid_step(np.round(values / 0.03) * 0.03) == pytest.approx(0.03)

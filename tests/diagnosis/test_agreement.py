@@ -37,7 +37,7 @@ def leave_each_out(single):
     return (single.sum(axis=0) - single) / (len(single) - 1)
 
 
-def test_it_is_the_t_test_of_the_trials_own_estimates():
+def test_the_bayes_factor_is_that_of_a_t_test_of_trial_estimates():
     """Of means, the jackknife is the standard error of the mean."""
     single = np.array([[0.10], [0.14], [0.09], [0.11]])
     t = single.mean() / (single.std(ddof=1) / 2)
@@ -57,7 +57,7 @@ def test_a_vector_may_have_a_component_that_is_absent():
     assert bayes_factor(leave_each_out(single), single.mean(axis=0)) > 100
 
 
-def test_parameters_may_trade_off_as_long_as_the_cause_does_the_same():
+def test_correlated_parameters_do_not_prevent_agreement():
     """A yield moment and a stiffness of dry friction, of which the product counts."""
     amplitude = np.array([0.2, 0.1, 0.3, 0.15])
     other = 0.06 / amplitude

@@ -50,7 +50,7 @@ def simulate_releases(model, wind):
 
 
 @pytest.mark.parametrize(("wind", "causes"), [(0.3, {"wind"}), (0.0, set())])
-def test_initial_states_explain_themselves_and_no_wind(arm, monkeypatch, wind, causes):
+def test_wrong_initial_states_are_not_explained_by_wind(arm, monkeypatch, wind, causes):
     library = {effect.name: effect for effect in find_effects(EFFECTS)}
     for each in (cause_search, module):
         monkeypatch.setattr(each, "effects_by_name", lambda: library)

@@ -7,7 +7,7 @@ import numpy as np
 from stringcast.stages.diagnose import budget
 
 
-def test_a_cause_that_explains_nothing_by_itself_has_zero_and_not_less(monkeypatch):
+def test_a_cause_that_explains_nothing_has_a_share_of_zero(monkeypatch):
     """A cause that explains nothing by itself has zero, and not less.
 
     The tip is 2.0 mm off, 2.1 mm with the first cause, and 1.0 mm with both.

@@ -83,7 +83,7 @@ def compare_as_found(prepared, rivals, fitted_before=(), min_gain=1.0):
         ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "uncertain"),
     ],
 )
-def test_a_cause_by_which_too_few_trials_are_resolved_is_not_accepted(
+def test_a_cause_with_too_few_resolved_trials_is_not_accepted(
     before, uncertain, misfit, best, limited, monkeypatch
 ):
     fits = [named_fit("uncertain", 60.0), named_fit("resolved", 50.0)]
@@ -156,7 +156,7 @@ def compare_rivals(monkeypatch, found, common):
     return step, compared
 
 
-def test_no_rival_leads_because_it_was_not_compared(limited, monkeypatch):
+def test_a_rival_that_was_not_compared_does_not_lead(limited, monkeypatch):
     """The fourth of 75 mm strips was named, as common data took 90 from the others."""
     found = {
         "set": 730.0,
@@ -183,7 +183,7 @@ def test_no_rival_leads_because_it_was_not_compared(limited, monkeypatch):
     assert [fit.name for fit in step.compared][-1] == "tilt"
 
 
-def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypatch):
+def test_the_rival_with_most_evidence_on_common_data_leads(limited, monkeypatch):
     """A wind gained 145 by the numerical error that was subtracted at its own fit."""
     found = {"wind": 719.0, "set": 633.0}
     common = {"wind": 574.0, "set": 633.0}
@@ -192,7 +192,9 @@ def test_the_rival_leads_that_has_most_evidence_on_common_data(limited, monkeypa
     assert [fit.log_evidence for fit in step.compared] == [633.0, 574.0]
 
 
-def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeypatch):
+def test_a_common_shift_of_evidence_does_not_change_the_order_of_rivals(
+    limited, monkeypatch
+):
     """All 21 candidates in a cable were refined, one by one, as each lost about 15."""
     found = {"slip": 23.0, "offset": 22.0, "drift": 21.0, "lag": 20.0}
     common = {"": -15.0, "slip": 8.0, "offset": 6.0, "drift": 5.0}
@@ -201,7 +203,7 @@ def test_rivals_are_not_overtaken_because_common_data_shift_all(limited, monkeyp
     assert [fit.log_evidence for fit in step.fits] == [8.0, 6.0, 5.0, 5.0]
 
 
-def test_what_was_compared_among_fewer_candidates_is_not_compared_again(monkeypatch):
+def test_fits_compared_among_fewer_candidates_are_reused(monkeypatch):
     fitted = []
 
     def fit(prepared, rivals, fitted_before=(), min_gain=1.0):
@@ -247,7 +249,7 @@ def test_only_rivals_close_to_the_best_are_fitted_precisely(
     assert [fit.name for fit in settled] == ["set", "wind", "tilt"]
 
 
-def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeypatch):
+def test_a_rival_that_explains_less_than_its_parent_is_refitted_from_it(monkeypatch):
     """Rivals were up to 286 behind a parent that had found a better minimum."""
     fitted = []
 
@@ -271,7 +273,7 @@ def test_a_rival_that_explains_less_than_its_parent_is_fitted_from_there(monkeyp
     ("inside", "leader"),
     [(60.0, "set"), (40.0, "tilt")],  # it explains more than half, or less
 )
-def test_a_rival_inside_its_range_goes_before_one_at_its_end(
+def test_a_rival_inside_its_range_ranks_above_one_at_its_end(
     inside, leader, limited, monkeypatch
 ):
     """A tilt of gravity at its limit was a stand-in for the set of a strip."""
@@ -290,7 +292,7 @@ def test_a_rival_inside_its_range_goes_before_one_at_its_end(
         (1.0, 0.2, SIX),  # nothing is accepted
     ],
 )
-def test_look_alikes_of_the_best_are_fitted_however_little_they_promise(
+def test_look_alikes_of_the_best_are_fitted_even_with_a_small_predicted_gain(
     evidence, angle, expected, fitted_parents, monkeypatch
 ):
     directions = {"e0": (1.0, 0.0), "e8": (np.cos(angle), np.sin(angle))}
@@ -403,7 +405,7 @@ def test_all_others_are_fitted_if_the_best_explains_little(
 
 
 @pytest.mark.parametrize(("without", "parents"), [(17.7, [0.0, 17.7]), (9.0, [0.0])])
-def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
+def test_a_better_minimum_without_a_cause_replaces_the_parent_first(
     without, parents, fitted_parents, monkeypatch
 ):
     """All 21 candidates gained 14 to 23 in a cable, as its parent was 18 too low."""
@@ -440,7 +442,7 @@ def test_a_better_minimum_without_a_cause_is_taken_before_one_is_refined(
     assert refined == parents[-1:]
 
 
-def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch):
+def test_candidates_are_first_fitted_to_a_sample_of_many_trials(monkeypatch):
     """Fewer than twice as many as a sample has are all taken."""
 
     def evaluate(data, *given):
@@ -473,7 +475,7 @@ def test_many_trials_are_sampled_before_candidates_are_tried_in_all(monkeypatch)
         (15.0, 40.0, 15.0),  # it explains less than half of what the best does
     ],
 )
-def test_a_rough_correction_makes_no_proposal_less_evident(
+def test_a_rough_correction_does_not_lower_the_evidence_of_a_proposal(
     first, corrected, kept, monkeypatch, limited
 ):
     """One finer mesh only estimates the error: the refined fits are compared later."""
@@ -506,7 +508,7 @@ def test_a_rough_correction_makes_no_proposal_less_evident(
 
 
 @pytest.mark.parametrize(("proposed", "starts"), [(-30.0, [0.9, 0.2]), (12.0, [0.9])])
-def test_a_fit_that_ends_below_its_parent_begins_again_without_the_cause(
+def test_a_fit_worse_than_its_parent_is_restarted_without_the_cause(
     proposed, starts, monkeypatch
 ):
     """The parent is a candidate in which the cause is absent."""

@@ -74,7 +74,7 @@ def test_grasp_poses_exclude_effects_on_joints(arm, model, trials):
     assert "arm_lag" in candidate_names(model, posed)
 
 
-def test_active_and_excluded_effects_are_no_candidates(model, trials):
+def test_active_and_excluded_effects_are_not_candidates(model, trials):
     names = candidate_names(model, trials)
     heavier = model.with_effects(*find_effects(["tip_mass"]))
     assert names - candidate_names(heavier, trials) == {"tip_mass"}
@@ -82,7 +82,7 @@ def test_active_and_excluded_effects_are_no_candidates(model, trials):
         assert not (effect.exclusion_reason and effect.name in names)
 
 
-def test_nothing_is_touched_where_the_string_departs_nowhere(arm, model, trials):
+def test_no_contact_is_proposed_if_the_string_never_departs(arm, model, trials):
     base = Hypothesis(model)
     chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
@@ -90,7 +90,7 @@ def test_nothing_is_touched_where_the_string_departs_nowhere(arm, model, trials)
     assert not propose_causes(data, parent, [effects_by_name()["contact"]], 0)
 
 
-def test_no_plane_stands_where_the_hand_moves(arm, model, trials):
+def test_no_plane_is_proposed_on_the_path_of_the_hand(arm, model, trials):
     base = Hypothesis(model)
     chi = base.model.exponents_of_values(TRUTH)
     data = attach_discrepancy_model(trials, base, chi)
@@ -136,7 +136,7 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     assert (first > 0.5).all()
 
 
-def test_a_field_of_a_user_is_proposed_like_wind(arm, model, effects_folder):
+def test_a_users_field_effect_is_proposed_like_wind(arm, model, effects_folder):
     """It depends on the place, but acts everywhere: it is no contact."""
     (effects_folder / "tether.py").write_text(TETHER)
     (tether,) = find_effects(["tether"])

@@ -46,7 +46,7 @@ def prepared_at(trials, hypothesis, chi):
     return PreparedData(data, None, trials, trials, 0, uncertainty_m)
 
 
-def test_evidence_is_the_same_wherever_the_data_of_a_search_were_corrected(
+def test_evidence_does_not_depend_on_the_fit_at_which_data_were_corrected(
     trials, hypothesis
 ):
     """The numerical error of another fit, which was subtracted, is not that of a fit.
@@ -148,7 +148,7 @@ class Search:
         ({0.1: 5.0, 0.3: 2.0, 0.11: 4.0}, [0.1, 0.3, 0.11], 0.1),  # it gets worse
     ],
 )
-def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
+def test_a_rival_is_refitted_until_its_numerical_error_is_its_own(
     evidence, asked, ended, monkeypatch
 ):
     """It starts from its optimum or that of the best other, whichever is likelier."""
@@ -161,7 +161,9 @@ def test_a_rival_moves_until_it_stays_where_its_error_is_its_own(
     assert fitted.log_evidence_error == 0.0
 
 
-def test_a_numerical_error_that_changes_otherwise_is_measured_again(monkeypatch):
+def test_slopes_of_the_numerical_error_are_updated_if_it_changes_unexpectedly(
+    monkeypatch,
+):
     """A strip ended 42 short, where its error had changed since its slopes were known.
 
     What the last pass promised and did not gain is an error of the evidence.
@@ -178,7 +180,7 @@ def test_a_numerical_error_that_changes_otherwise_is_measured_again(monkeypatch)
     assert search.fit().log_evidence_error == pytest.approx(8.5)
 
 
-def test_a_pass_into_chaos_says_nothing_of_the_evidence_before_it(monkeypatch):
+def test_a_pass_into_chaos_does_not_change_the_evidence_before_it(monkeypatch):
     """An unexpected error of 8 million made a cause as likely as none (mixed, 4153)."""
     chaotic = {0.1: 5.0, 0.3: 2.0, 0.11: -8e6}
     search = Search(monkeypatch, chaotic, {0.11: 7.0})

@@ -198,7 +198,7 @@ def test_the_proposed_motion_decides_better_than_others(
     assert "one distinguishes arm lag and time offset with" in experiment["sentence"]
 
 
-def test_rivals_stay_alike_where_the_remainder_may_be_their_difference(
+def test_rivals_stay_look_alikes_if_misfit_may_be_their_difference(
     slow_trials, rivals, monkeypatch
 ):
     """Noise alone would distinguish them in the motions that were measured."""

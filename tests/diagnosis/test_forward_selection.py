@@ -309,7 +309,7 @@ def interrupt(*given):
     raise InterruptRequest
 
 
-def test_interrupted_accepted_causes_are_reported_and_none_is_named(
+def test_after_an_interruption_accepted_causes_are_reported_but_not_named(
     arm, camera, heavy_tip_casts, monkeypatch
 ):
     monkeypatch.setattr(module, "swap_lookalikes_until_stable", interrupt)
@@ -343,7 +343,7 @@ def test_nothing_is_named_in_a_string_without_causes(arm, camera, monkeypatch):
     assert high_m < CRITERIA.tip_tolerance_m
 
 
-def test_one_trial_names_nothing_but_states_the_probable_causes(
+def test_no_cause_is_named_from_one_trial_but_probable_ones_are_stated(
     arm, camera, monkeypatch
 ):
     truth = {"tip_mass.ratio": 0.05, "wind.along_x": 0.8}
@@ -359,7 +359,7 @@ def test_one_trial_names_nothing_but_states_the_probable_causes(
     assert all(name.replace("_", " ") in sentence for name in names)
 
 
-def test_a_cause_that_is_excluded_is_no_candidate_but_unknown(arm, camera, monkeypatch):
+def test_an_excluded_cause_is_reported_as_unknown(arm, camera, monkeypatch):
     truth = {"wind.along_x": 2.0}
     diagnosis = diagnose_casts(
         arm, camera, truth, monkeypatch, excluded_effects=["wind"]

@@ -45,7 +45,7 @@ def test_a_hidden_effect_is_found_with_its_size(diagnose):
 
 
 @pytest.mark.long
-def test_an_effect_that_is_drawn_is_found_with_its_size(tmp_path):
+def test_a_random_hidden_effect_is_found_with_its_size(tmp_path):
     dataset = draw("own_kernel", 4, "effect", ["clock_drift"])
     dataset.write(tmp_path / "data")
     settings = compose_settings(["+experiment=diagnose"])
@@ -55,7 +55,7 @@ def test_an_effect_that_is_drawn_is_found_with_its_size(tmp_path):
 
 
 @pytest.mark.long
-def test_nothing_is_named_where_nothing_is_hidden(diagnose):
+def test_no_cause_is_named_if_none_is_hidden(diagnose):
     """Nothing is named where nothing is hidden, except perhaps the mesh.
 
     Ten points of Eq. 1 are too few for this string. `test_other_simulations` has a
@@ -67,7 +67,7 @@ def test_nothing_is_named_where_nothing_is_hidden(diagnose):
 
 
 @pytest.mark.long
-def test_what_is_not_in_the_library_is_called_unknown(diagnose):
+def test_a_cause_outside_the_library_is_unknown(diagnose):
     """A cause that the whole library lacks is called unknown.
 
     `test_forward_selection` has a quicker test, of a cause that is excluded.

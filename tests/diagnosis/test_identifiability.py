@@ -80,7 +80,7 @@ def test_a_camera_offset_moves_the_tip_by_as_much(limits):
         assert limit.max_tip_shift_m == pytest.approx(limit.parameter.high, rel=1e-6)
 
 
-def test_all_effects_have_limits_but_those_that_depend_on_place(limits):
+def test_all_effects_have_limits_except_those_that_depend_on_place(limits):
     assert set(limits) == {
         "arm_lag.time_constant",
         "camera_offset.x",
@@ -138,7 +138,7 @@ def test_a_limit_also_needs_the_smallest_tip_shift(prepared, limits):
     assert np.isnan([none.detectable_value, none.detectable_tip_shift_m]).all()
 
 
-def test_look_alikes_are_named_and_others_are_not(limits):
+def test_only_look_alikes_are_named_as_confusable(limits):
     """Look-alikes are named, and other effects are not.
 
     A lag is a delay in slow motion; wind and a camera offset differ from both.

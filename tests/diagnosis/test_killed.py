@@ -45,7 +45,7 @@ def assert_same(first, second):
 
 
 @pytest.mark.long
-def test_a_killed_diagnosis_goes_on_to_the_same_bits(arm, camera, monkeypatch):
+def test_a_killed_diagnosis_resumes_to_identical_results(arm, camera, monkeypatch):
     whole = diagnose_casts(arm, camera, TRUTH, monkeypatch)
     kept, lives = {}, 0
     while True:

@@ -90,7 +90,7 @@ def test_steps_find_the_optimum_without_each_trial(arm):
     assert max(gains) > 10 * MIN_GAIN  # the trials matter
 
 
-def test_a_hypothesis_is_refitted_where_steps_do_not_converge(arm, monkeypatch):
+def test_a_hypothesis_is_refitted_if_steps_do_not_converge(arm, monkeypatch):
     """Where no step is allowed, the hypothesis is refitted to the other trials.
 
     They predict the trial of another string badly.

@@ -54,7 +54,7 @@ def moved_marks(trial, distance_m):
     return replace(trial, s=np.where(is_middle, trial.s - distance_m, trial.s))
 
 
-def test_a_column_is_what_moving_the_mark_does(prepare, hypothesis, true):
+def test_a_column_is_the_displacement_by_moving_the_mark(prepare, hypothesis, true):
     """One mark in the middle moves by the whole standard deviation, the tip does not."""
     trial = prepare([MIDDLE, TIP])
     column = columns_of(trial, hypothesis, true)
@@ -74,7 +74,9 @@ def test_a_column_is_what_moving_the_mark_does(prepare, hypothesis, true):
     ("places", "count"),
     [([TIP], 0), ([5, TIP], 1), ([5, 12, TIP], 2), ([4, 8, 12, 16, TIP], 3)],
 )
-def test_marks_between_grasp_and_tip_count(prepare, hypothesis, true, places, count):
+def test_half_waves_are_as_many_as_marks_between_grasp_and_tip(
+    prepare, hypothesis, true, places, count
+):
     assert columns_of(prepare(places), hypothesis, true).shape[1] == count
 
 
@@ -86,7 +88,7 @@ def test_points_at_the_grasp_do_not_move(prepare, hypothesis, true):
     assert columns[(trial.s > 0) & ~trial.is_tip].any()
 
 
-def test_no_mark_moves_in_a_trial_that_cannot_be_simulated(
+def test_columns_are_zero_in_a_trial_whose_simulation_diverges(
     prepare, hypothesis, true, monkeypatch
 ):
     def diverge(model, trials, values):
@@ -100,7 +102,9 @@ def test_no_mark_moves_in_a_trial_that_cannot_be_simulated(
     assert not columns.any()
 
 
-def test_a_mark_that_is_off_is_seen_and_costs_little(prepare, hypothesis, true):
+def test_a_wrong_mark_is_recognised_at_a_small_cost_of_evidence(
+    prepare, hypothesis, true
+):
     """3 mm are found to half a millimetre, at a few units of log likelihood."""
     distance_m = 3e-3
     off = moved_marks(prepare([MIDDLE, TIP]), distance_m)

@@ -60,13 +60,13 @@ def test_a_sample_spans_trials_from_the_largest_misfit_to_the_least(monkeypatch)
     assert measures.sample_by_misfit(None, None, 8) == [0, 1, 2, 3, 4, 5]
 
 
-def test_one_trial_alone_supports_nothing():
+def test_a_single_trial_gives_no_leave_one_out_support():
     data = SimpleNamespace(trials=(0,))
     alone = fit(1.0, [1.0]), fit(3.0, [3.0])
     assert measures.refitted_leave_one_out_gain(data, *alone) == -np.inf
 
 
-def test_predictions_gain_without_the_trial_that_gains_most(monkeypatch):
+def test_the_cross_validated_gain_excludes_the_trial_that_gains_most(monkeypatch):
     monkeypatch.setattr(
         measures,
         "predict_left_out_trials",
@@ -88,13 +88,13 @@ def test_the_explained_fraction_is_of_the_larger_misfit():
     ("tolerance", "expected"),
     [(0.5, (0.75 - 0.75 + 0.0) / 3), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)],
 )
-def test_every_trial_above_the_tolerance_has_one_vote(tolerance, expected):
+def test_trials_above_the_tolerance_have_equal_weight(tolerance, expected):
     before, after = np.array([2.0, 1.0, 0.5]), np.array([1.0, 2.0, 0.5])
     found = measures.mean_explained_fraction(before, after, tolerance)
     assert found == pytest.approx(expected)
 
 
-def test_trials_within_the_tolerance_have_no_vote_unless_all_are():
+def test_trials_within_the_tolerance_are_ignored_unless_all_are():
     before, after = np.array([4.0, 1.0]), np.array([2.0, 1.0])
     assert measures.mean_explained_fraction(before, after, 1.5) == pytest.approx(0.75)
     assert measures.mean_explained_fraction(before, after, 9.0) == pytest.approx(0.75)

@@ -117,7 +117,7 @@ def blocks_of(document):
     return {name: block for name, block in document.items() if isinstance(block, dict)}
 
 
-def test_gain_has_all_blocks_even_if_nothing_was_left_out():
+def test_the_gain_has_all_fields_even_if_no_trial_was_left_out():
     full = replace_non_finite(gain_document(held_out_rows(), ()))
     assert {name: set(block) for name, block in blocks_of(full).items()} == GAIN_BLOCKS
     assert full["rms_m"]["base"] == pytest.approx(np.sqrt(12.5) * 1e-3)

@@ -69,7 +69,7 @@ def test_fits_to_the_beginnings_find_the_string(fits):
         assert fit.values[name] == pytest.approx(TRUTH[name], rel=0.05)
 
 
-def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
+def test_the_estimated_onset_is_not_after_the_true_one(fits):
     data, _, fit = fits
     true_share = ONSET_S / SECONDS
     for grid_point in fit.grid_points:
@@ -78,7 +78,7 @@ def test_the_unknown_is_said_to_begin_no_later_than_it_does(fits):
         assert DISCREPANCY_SCALES_M[scale_index] > 2e-3
 
 
-def test_other_strings_are_tried_where_the_fit_is_far_off(fits, monkeypatch):
+def test_other_strings_are_tried_if_the_fit_is_wrong(fits, monkeypatch):
     """Without any step, the start is another string, whose beginnings are nearer."""
     data, _, fit = fits
     far = evaluate_fit(data, fit.hypothesis, np.full(len(fit.chi), 0.98))

@@ -42,7 +42,7 @@ def diagnose_swings(arm, configured, true_model, values, seed):
     return diagnose_trials(configured, trials, 4)
 
 
-def test_the_configured_mesh_itself_is_no_cause(arm, chain):
+def test_data_from_the_configured_mesh_show_no_cause(arm, chain):
     """The configured mesh itself is no cause.
 
     It differs from a string without mass points by ten standard deviations.
@@ -67,7 +67,7 @@ def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
 
 
 @pytest.mark.long
-def test_a_chain_of_other_points_is_a_cause(arm, chain):
+def test_another_chain_of_points_is_found_as_a_cause(arm, chain):
     """A chain of another number of points is a cause.
 
     Its last point has half a segment too much, so a tip mass may look alike.

@@ -37,7 +37,7 @@ def prediction(size, log_likelihood):
     return SimpleNamespace(residual=np.full(4, size), log_likelihood=log_likelihood)
 
 
-def test_one_trial_does_not_outvote_the_others_on_what_predicts_better():
+def test_one_trial_does_not_decide_against_the_others_which_model_predicts_better():
     base = [prediction(10.0, -100.0)] * 4
     extended = [prediction(1.0, -10.0)] * 3 + [prediction(50.0, -9e9)]
     assert improves_predictions(base, extended)
@@ -45,7 +45,7 @@ def test_one_trial_does_not_outvote_the_others_on_what_predicts_better():
 
 
 @pytest.mark.long
-def test_causes_are_found_as_if_a_trial_of_another_motion_were_not_there(arm):
+def test_causes_are_found_despite_a_trial_of_another_motion(arm):
     """The joints turn 3 % further; the points of one trial are those of another."""
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)

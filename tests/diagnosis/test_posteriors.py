@@ -35,7 +35,7 @@ class Scaled:
 
 
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (0.5, 1.5)])
-def test_small_effects_are_as_likely_as_a_dense_covariance_says(weights):
+def test_the_evidence_with_background_is_that_of_a_dense_covariance(weights):
     """The probabilities of small effects are those of a dense covariance.
 
     A trial of half weight has twice the variance.
@@ -133,7 +133,7 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
     assert list(settled.by_cause) == by_fit["three"]
 
 
-def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypatch):
+def test_swapped_look_alikes_end_with_posteriors_of_the_final_model(monkeypatch):
     """Look-alikes that follow each other end in the causes that the model holds.
 
     Each is likelier in the place of the other.
@@ -153,7 +153,7 @@ def test_look_alikes_that_follow_each_other_end_in_what_the_model_holds(monkeypa
     assert posterior.credible_set(0.8) == (name,)
 
 
-def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch):
+def test_a_cause_within_the_credible_set_is_not_replaced(monkeypatch):
     fit = named_fit("one", "a")
     posterior = SingleEffectPosterior({"a": 0.3, "b": 0.7}, {"b": None}, None, None)
     settled = swap(monkeypatch, {"one": [posterior]}, fit)
@@ -169,7 +169,7 @@ def test_a_look_alike_within_the_credible_set_is_no_reason_to_change(monkeypatch
         (0.60, 0.30, 0.10, "empty"),
     ],
 )
-def test_a_place_is_emptied_only_if_it_is_more_likely_empty_than_not(
+def test_a_cause_is_removed_only_if_its_place_is_probably_empty(
     none, rival, own, kept, monkeypatch
 ):
     """None may be the most probable of many, and something be there all the same."""
@@ -197,7 +197,7 @@ def test_a_place_is_emptied_only_if_it_is_more_likely_empty_than_not(
         ((80.0, 0.0, 0.0, 0.0), True),
     ],
 )
-def test_what_one_trial_says_against_the_others_is_not_certain(
+def test_evidence_from_one_trial_against_the_others_is_not_certain(
     by_trial, is_certain, monkeypatch
 ):
     """A cause that one trial supports against the others is not certain.
@@ -262,7 +262,7 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=(
 
 
 @pytest.mark.parametrize(("difference_m", "share"), [(0.9, 0.5), (1.1, 0.0)])
-def test_effects_that_the_remainder_could_turn_into_each_other_are_as_likely(
+def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
     difference_m, share, monkeypatch
 ):
     """Evidence alone would be certain of wind, which stays the first to be named."""
@@ -274,7 +274,7 @@ def test_effects_that_the_remainder_could_turn_into_each_other_are_as_likely(
     assert posterior.ranked_causes[0] == "wind"
 
 
-def test_an_effect_that_cannot_be_simulated_well_enough_is_as_likely(monkeypatch):
+def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):
     """It is no more likely than the best of those that can be."""
     monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
     gains = {
@@ -332,7 +332,7 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
         ),
     ],
 )
-def test_the_likeliest_effects_stand_if_they_have_more_evidence_together(
+def test_the_likeliest_effects_replace_causes_if_their_joint_evidence_is_higher(
     probabilities, evidence, causes, monkeypatch
 ):
     """The likeliest effects remain if they have more evidence together.
@@ -395,7 +395,7 @@ def limit_place(
     return found.by_cause[0].probabilities
 
 
-def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
+def test_the_agreement_of_trials_limits_probabilities_if_misfit_remains(
     monkeypatch,
 ):
     """The odds are then the trials' Bayes factor times the prior odds of one cause."""
@@ -409,14 +409,14 @@ def test_causes_are_no_likelier_than_trials_agree_if_the_model_lacks_something(
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
-def test_a_cause_is_no_likelier_than_it_does_not_stand_in(monkeypatch, share):
+def test_the_probability_of_a_stand_in_limits_that_of_a_cause(monkeypatch, share):
     """Something outside the library may do about the same in all trials."""
     found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0, share)
     assert found["a"] == pytest.approx(probability_by_shares(np.array([share])))
 
 
 @pytest.mark.parametrize(("log_bayes_factor", "misfit"), [(-3.0, 0.0), (30.0, 1.0)])
-def test_probabilities_stay_if_nothing_is_lacking_or_they_are_lower(
+def test_probabilities_are_unchanged_without_misfit_or_below_the_limit(
     monkeypatch, log_bayes_factor, misfit
 ):
     given = {"a": 0.8, "": 0.2}
@@ -424,7 +424,7 @@ def test_probabilities_stay_if_nothing_is_lacking_or_they_are_lower(
     assert found == pytest.approx(given)
 
 
-def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
+def test_without_a_cause_the_posterior_is_that_of_the_last_step(monkeypatch):
     """An earlier step may have entered a cause that was dropped again."""
     monkeypatch.setattr(
         posteriors, "single_effect_posterior", lambda step, *given: step
@@ -439,7 +439,7 @@ def test_without_a_cause_the_last_step_alone_has_a_posterior(monkeypatch):
     assert list(found) == ["none"]
 
 
-def test_an_effect_is_included_if_it_is_in_one_place_or_another():
+def test_the_inclusion_probability_is_that_of_any_place():
     places = [
         SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None, None),
         SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None, None),
@@ -459,7 +459,7 @@ def test_an_effect_is_included_if_it_is_in_one_place_or_another():
         (("a", "b"), True, "a", 1, False),  # it was compared without the other
     ],
 )
-def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
+def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
     best, accepted, cause, places, is_known, monkeypatch
 ):
     others = SimpleNamespace(
@@ -491,7 +491,7 @@ def test_the_comparison_that_accepted_the_last_cause_counts_for_its_place(
 
 
 @pytest.mark.parametrize("better", ["with the cause", "base"])
-def test_a_fit_without_a_cause_is_the_better_of_two(better, monkeypatch):
+def test_a_fit_without_a_cause_is_the_better_of_two_starts(better, monkeypatch):
     """Parameters that made up for the cause may lead to a poor minimum without it."""
     others = SimpleNamespace(
         with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)

@@ -84,7 +84,7 @@ def trials(arm, model):
 
 
 @pytest.mark.parametrize("kind", ["wandering", "dense", "occluded"])
-def test_noise_is_separated_from_misfit_wherever_points_are(model, kind):
+def test_noise_is_separated_from_misfit_at_any_places(model, kind):
     """Noise is separated from misfit for any spacing of points.
 
     A traced line has irregular points, some closer than a millimetre.
@@ -148,7 +148,7 @@ def prepared(model, trials):
     return PreparedData(data, fit, trials, trials, 0, np.zeros(3))
 
 
-def test_all_hypotheses_share_the_growth_that_was_measured_first(prepared, trials):
+def test_all_hypotheses_share_the_growth_that_was_computed_first(prepared, trials):
     hypothesis = prepared.base_fit.hypothesis
     softer = np.clip(prepared.base_fit.chi - 0.2, 0.0, 1.0)
     alone = attach_discrepancy_model(trials, hypothesis, softer)
@@ -228,7 +228,7 @@ def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
 @pytest.mark.parametrize(
     ("restarted", "elsewhere", "kept"), [(20, 18, 18), (20, -3, 0), (2, 18, 0)]
 )
-def test_a_fit_to_the_beginnings_is_kept_if_it_has_more_evidence_in_the_end(
+def test_a_fit_from_the_beginnings_is_kept_if_it_has_more_evidence(
     prepared, monkeypatch, restarted, elsewhere, kept
 ):
     """It may have gained by the numerical error of where the other fit ended."""
@@ -247,7 +247,7 @@ def test_a_fit_to_the_beginnings_is_kept_if_it_has_more_evidence_in_the_end(
     assert preparation.refine_base_model(before).base_fit.log_evidence == kept
 
 
-def test_a_base_model_is_searched_in_eight_trials_at_most(trials, model):
+def test_a_base_model_is_searched_in_at_most_eight_trials(trials, model):
     """They are taken evenly, the first and the last among them."""
     many = tuple(replace(trials[0], name=str(k)) for k in range(25))
     sample = sample_trials(Likelihood(TrialData(many), model))
@@ -269,7 +269,7 @@ def test_outliers_that_a_better_fit_explains_are_restored(prepared):
     assert reconsidered.point_counts == prepared.point_counts
 
 
-def test_noise_is_not_what_another_initial_state_does(prepared):
+def test_the_effect_of_another_initial_state_is_not_noise(prepared):
     """A state far from that of the first frames displaces points by much more."""
     trials = []
     residuals = []
@@ -291,7 +291,7 @@ def test_noise_is_not_what_another_initial_state_does(prepared):
     )
 
 
-def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model):
+def test_the_search_is_robust_against_one_trial_of_another_string(arm, model):
     """One trial of another string does not mislead the search.
 
     Three trials are of one string, the fourth of one four times as stiff.
@@ -312,7 +312,7 @@ def test_one_trial_of_another_string_does_not_lead_the_search_astray(arm, model)
     assert rms[3] > 10
 
 
-def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
+def test_a_range_is_widened_only_if_the_data_require_it(model, prepared):
     parameters = {p.name: p for p in model.string.parameters}
     limited = model.with_ranges(replace(parameters["bending_stiffness"], high=2.0))
     ranges = limited.string.ranges
@@ -331,7 +331,7 @@ def test_a_range_is_widened_only_if_the_data_need_it(model, prepared):
     assert wider.parameters[bending].value(chi[bending]) > 2.0
 
 
-def test_a_range_is_wide_enough_where_a_wider_one_explains_hardly_more(model, prepared):
+def test_a_range_is_kept_if_a_wider_one_explains_hardly_more(model, prepared):
     """The data would have more axial damping, and hardly determine it."""
     damping = {p.name: p for p in model.string.parameters}["axial_damping"]
     index = model.names.index(damping.name)
@@ -369,9 +369,7 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
             assert wider.string.ranges["bending_stiffness"].high == expected
 
 
-def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
-    model, prepared
-):
+def test_a_range_is_kept_if_only_the_mesh_correction_costs_evidence(model, prepared):
     """A wider range has no correction, and is compared with the fit without it.
 
     The axial stiffness would be a little inside its range.
@@ -396,7 +394,7 @@ def test_a_range_is_wide_enough_where_only_the_mesh_correction_costs_evidence(
     assert widen_ranges_with_causes(data, fit, CRITERIA) is None
 
 
-def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
+def test_the_mesh_correction_predicts_the_error_at_other_parameters(model, trials):
     """The mesh correction follows the error as parameters move.
 
     Friction slips at 0.02 /m, then at 0.03 /m, elsewhere on a coarse string.
@@ -429,7 +427,7 @@ def test_mesh_correction_follows_the_error_as_parameters_move(model, trials):
 
 
 @pytest.mark.parametrize(("left_m", "is_kept"), [(9e-4, True), (1.1e-3, False)])
-def test_a_mesh_is_the_strings_only_if_it_leaves_less_than_noise(
+def test_the_configured_mesh_is_kept_only_if_it_fits_within_noise(
     left_m, is_kept, monkeypatch
 ):
     """A measured strip was nearer to ten mass points by chance, and left 0.8 mm."""

@@ -26,7 +26,7 @@ def fit_of(log_evidence=0.0, **more):
     return SimpleNamespace(log_evidence=log_evidence, **values)
 
 
-def test_limits_are_those_that_the_settings_state():
+def test_limits_follow_from_the_settings():
     assert pytest.approx(np.log(100)) == LIMIT
     assert CRITERIA.deciding_log_odds == pytest.approx(np.log(19))
 
@@ -64,7 +64,7 @@ def test_simulation_resolves_two_trials_or_the_only_one(
     assert found_m == pytest.approx(1e-3 * unresolved_mm)
 
 
-def test_evidence_counts_from_its_limit_on():
+def test_evidence_is_sufficient_from_its_limit_on():
     parent = fit_of(7.0)
     assert rules.has_evidence(parent, fit_of(7.0 + SLIGHTLY_MORE * LIMIT), CRITERIA)
     weaker = fit_of(7.0 + SLIGHTLY_LESS * LIMIT)
@@ -101,7 +101,7 @@ def test_a_contact_must_explain_half_of_the_trial_that_it_touches(
 
 
 @pytest.mark.parametrize("strong", [None, 0, 1, 2])
-def test_one_way_to_leave_the_strongest_trial_out_is_enough(monkeypatch, strong):
+def test_one_of_three_leave_one_out_gains_is_sufficient(monkeypatch, strong):
     names = (
         "fixed_leave_one_out_gain",
         "refitted_leave_one_out_gain",
@@ -177,7 +177,7 @@ def test_the_median_trial_and_the_tips_decide_on_prediction(gains, explained, he
     assert rules.predicts_heldout(np.array(gains), explained) is helps
 
 
-def test_half_is_enough_to_explain_and_not_enough_to_be_off():
+def test_half_suffices_for_explaining_but_not_for_misfit():
     half = VerdictNumbers(2, misfit_probability=0.5, explained_fraction=0.5)
     assert rules.explains_enough(half, CRITERIA)
     assert not rules.explains_enough(replace(half, explained_fraction=0.49), CRITERIA)
@@ -188,14 +188,14 @@ def test_half_is_enough_to_explain_and_not_enough_to_be_off():
 
 
 @pytest.mark.parametrize(("fraction", "counts"), [(0.01, True), (0.0, False)])
-def test_what_is_missing_may_be_larger_than_the_causes(fraction, counts):
+def test_misfit_may_be_larger_than_the_causes(fraction, counts):
     numbers = VerdictNumbers(2, misfit_probability=0.6, explained_fraction=fraction)
     numbers = replace(numbers, heldout_explained_fraction=fraction)
     assert rules.explains_enough(numbers, CRITERIA) is counts
     assert rules.predicts_better(numbers) is counts
 
 
-def test_misfit_is_likely_if_the_worst_trial_is_mostly_off(monkeypatch):
+def test_misfit_is_probable_if_that_of_the_worst_trial_is(monkeypatch):
     """Of four draws, the tip of some trial is beyond the tolerance in three."""
     drawn_m = TOLERANCE_M * np.array([[0.5, 2.0, 0.5, 1.0], [2.0, 0.5, 2.0, 1.0]])
     seeds = []
@@ -264,7 +264,7 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
 
 
 @pytest.mark.parametrize("better", ["before", "with causes"])
-def test_the_base_is_fitted_again_only_beside_causes_and_in_the_better_minimum(
+def test_the_base_is_refitted_only_if_there_are_causes_and_from_two_starts(
     monkeypatch, better
 ):
     """A fit begun in a poor minimum would count its misfit as that of a cause."""
@@ -293,7 +293,7 @@ def test_a_mesh_that_is_too_coarse_is_named_with_certainty():
     assert other.inclusion_probability == probabilities
 
 
-def test_an_interrupted_search_says_what_it_had_found(monkeypatch):
+def test_an_interrupted_search_reports_the_causes_found(monkeypatch):
     """Of two causes of the fit, the second was there before the search."""
 
     def step(name, accepted=True):

@@ -92,7 +92,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
         ([-353.5, -265.4, -128.9, 22785.6, 225.6], ()),
     ],
 )
-def test_one_trial_does_not_outvote_the_others_on_which_causes_leave(
+def test_one_trial_does_not_decide_which_causes_are_set_aside(
     gains, remaining, monkeypatch
 ):
     """One trial does not outvote the others on which causes are removed.
@@ -152,7 +152,7 @@ def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatc
     ("unconfirmed", "remaining"),
     [(["wind"], ("set",)), (["wind", "set"], ("lag",)), (["wind", "set", "lag"], ())],
 )
-def test_a_confirmed_rival_takes_the_place_of_a_cause_that_is_set_aside(
+def test_a_confirmed_rival_replaces_a_cause_that_is_set_aside(
     unconfirmed, remaining, monkeypatch
 ):
     """Of causes that explain about as much, one that all trials show is left."""
@@ -226,7 +226,7 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
         (dict.fromkeys(("set", "slip"), confirmation.TOO_FEW_TRIALS), [], []),
     ],
 )
-def test_a_cause_that_two_trials_are_too_few_to_confirm_stays_for_the_others(
+def test_a_cause_that_two_trials_cannot_confirm_stays_in_the_fit(
     reasons, remaining, nameable, monkeypatch
 ):
     """Without dry friction, a set and a turned grasp of a cable were as probable."""
@@ -330,7 +330,7 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     assert state.set_aside == {"offset": small} | unconfirmed
 
 
-def test_a_cause_that_comes_in_is_no_longer_set_aside(monkeypatch):
+def test_an_added_cause_is_no_longer_set_aside(monkeypatch):
     """Dry friction in a cable was named, and set aside in the same answer."""
     slip, offset = SimpleNamespace(name="slip"), SimpleNamespace(name="offset")
     monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
@@ -341,7 +341,9 @@ def test_a_cause_that_comes_in_is_no_longer_set_aside(monkeypatch):
 
 
 @pytest.mark.parametrize(("gain", "is_taken"), [(17.7, True), (0.5, False)])
-def test_a_better_fit_without_a_further_cause_is_taken(gain, is_taken, monkeypatch):
+def test_a_better_fit_without_a_further_cause_replaces_the_state(
+    gain, is_taken, monkeypatch
+):
     hypothesis = SimpleNamespace(cause_names=())
     fit = SimpleNamespace(log_evidence=100.0, hypothesis=hypothesis)
     moved = SimpleNamespace(
@@ -356,7 +358,7 @@ def test_a_better_fit_without_a_further_cause_is_taken(gain, is_taken, monkeypat
     assert state.fit is (moved if is_taken else fit)
 
 
-def test_causes_found_before_begin_at_the_same_values_in_other_ranges(arm, monkeypatch):
+def test_known_causes_start_at_the_same_values_in_other_ranges(arm, monkeypatch):
     """With one trial more, the data may ask for a wider range of the base model."""
     wind = effects_by_name()["wind"]
     base = ordinary(arm)

@@ -30,7 +30,7 @@ from stringcast.stages.model.library import effects_by_name
         ("contact", ((196 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), True),
     ],
 )
-def test_an_amplitude_at_an_end_of_its_range_is_no_finding(name, chi, is_inside):
+def test_an_amplitude_at_an_end_of_its_range_is_not_a_finding(name, chi, is_inside):
     effect = effects_by_name()[name]
     indices = {p.name: k for k, p in enumerate(effect.parameters)}
     start = np.array([float(p.chi(np.asarray(p.start))) for p in effect.parameters])
@@ -70,7 +70,7 @@ LATE = 3 * len(DISCREPANCY_SCALES_M)  # a grid point that begins in the middle
         ),
     ],
 )
-def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
+def test_the_stated_misfit_is_that_of_the_budget_if_it_is_certainly_positive(
     monkeypatch, budget_m, kind, grid_point, sentence
 ):
     """The budget's share may be 0 where numerical error could explain the misfit."""
@@ -104,7 +104,7 @@ def test_what_is_left_is_that_of_the_budget_where_something_is_sure_to_be_left(
     assert found["sentence"] == sentence
 
 
-def test_look_alikes_are_named_in_words():
+def test_look_alikes_have_readable_names():
     """Names of effects have underscores."""
     names = ("maxwell_slip", "dahl_friction")
     verdict = Verdict("ambiguous", 0.0, names, lookalike_groups=(names,))
@@ -119,7 +119,7 @@ def test_look_alikes_are_named_in_words():
     ]
 
 
-def test_what_is_left_is_said_first_where_causes_explain_a_part():
+def test_the_remaining_misfit_is_stated_first_if_causes_explain_a_part():
     judgement = SimpleNamespace(
         verdict=Verdict("partial", 1.0, ("wind",)), inclusion_probability={"wind": 0.9}
     )
@@ -143,7 +143,7 @@ def test_what_is_left_is_said_first_where_causes_explain_a_part():
         ([], 0.0045, ""),  # both models are the same
     ],
 )
-def test_the_terminal_states_the_gain_where_there_is_one(causes, base_m, addition):
+def test_the_terminal_states_the_gain_if_it_is_known(causes, base_m, addition):
     sizes = {"base": base_m, "extended": 0.00112, "noise_floor": 0.001}
     known = {"causes": causes, "gain": {"rms_m": sizes}, "interrupted": False}
     finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})

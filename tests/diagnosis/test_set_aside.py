@@ -32,7 +32,7 @@ def simulate_with_offset(arm, offset_s):
         (0.0, ["t3"]),
     ],
 )
-def test_a_cause_that_only_a_held_out_trial_shows_is_found(arm, offset_s, left_out):
+def test_a_cause_in_a_held_out_trial_only_is_found(arm, offset_s, left_out):
     trials = list(simulate_with_offset(arm, offset_s))
     diagnosis = diagnose_trials(ordinary(arm), trials, 4, held_out=["t3"])
     document = json.loads(diagnosis.finding["diagnosis"].iloc[0])

@@ -55,7 +55,7 @@ def test_probabilities_are_calibrated_for_causes_and_stand_ins():
         assert is_there[chosen].mean() == pytest.approx(level, abs=0.06)
 
 
-def test_alike_trials_count_as_one():
+def test_similar_trials_count_as_one():
     once = probability_by_shares(np.array([0.97]))
     assert probability_by_shares(np.full(50, 0.97)) == pytest.approx(once)
     # a trial that the unknown hides the cause in says little
@@ -106,7 +106,7 @@ def find_shares(monkeypatch, cause, misfit, left, grid_point):
         ((0.5, 0.5), (0, 0), FROM_MIDDLE, []),  # nor later
     ],
 )
-def test_shares_are_counted_where_the_model_holds(
+def test_shares_are_computed_where_the_model_holds(
     monkeypatch, cause, left, grid_point, expected
 ):
     """A cause moves the tip by 4 mm before the middle, and by 40 mm after it."""

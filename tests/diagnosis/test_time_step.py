@@ -38,7 +38,7 @@ def likelihood_of_swing(arm, number):
 
 
 @pytest.mark.parametrize(("number", "wanted_step_s"), [(1, 4e-3), (20, 2e-3)])
-def test_steps_are_as_long_as_they_cost_no_accuracy(arm, number, wanted_step_s):
+def test_steps_are_lengthened_while_accuracy_is_kept(arm, number, wanted_step_s):
     likelihood = likelihood_of_swing(arm, number)
     hypothesis = Hypothesis(likelihood.model)
     chi = hypothesis.model.exponents_of_values(TRUTH)
@@ -57,7 +57,7 @@ def test_steps_are_as_long_as_they_cost_no_accuracy(arm, number, wanted_step_s):
     ("cause", "is_abrupt"),
     [("maxwell_slip", True), ("contact", True), ("grasp_play", True), ("wind", False)],
 )
-def test_causes_that_turn_or_set_in_at_moments_keep_short_steps(arm, cause, is_abrupt):
+def test_causes_with_abrupt_changes_keep_short_steps(arm, cause, is_abrupt):
     base = with_second_order_mesh(ordinary(arm))
     base = replace(base, string=replace(base.string, largest_step=LONGEST_STEP_S))
     hypothesis = Hypothesis(base).with_cause(effects_by_name()[cause])
@@ -72,7 +72,7 @@ def test_a_cause_does_not_lengthen_steps(arm):
     assert hypothesis.model.string.largest_step == base.string.largest_step
 
 
-def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
+def test_steps_are_too_long_if_a_trial_diverges(arm, monkeypatch):
     likelihood = likelihood_of_swing(arm, 1)
 
     def simulate_points(model, trials, values):
@@ -86,7 +86,7 @@ def test_steps_with_which_a_trial_diverges_are_too_long(arm, monkeypatch):
     assert longer.model.string.largest_step == 2e-3
 
 
-def test_steps_stay_where_no_trial_is_resolved(arm):
+def test_steps_are_kept_if_no_trial_is_resolved(arm):
     likelihood = likelihood_of_swing(arm, 1)
     chi = likelihood.model.exponents_of_values(TRUTH)
     assert lengthen_steps_while_accurate(likelihood, chi, 1e-9, 4e-3) is likelihood

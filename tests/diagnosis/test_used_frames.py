@@ -35,7 +35,7 @@ def make_trial(model, frame, s, points, times):
 @pytest.mark.parametrize(
     ("seconds", "words"), [(0.9, ""), (2.0, ""), (10.0, "up to 3 Hz"), (4.0, "8 Hz")]
 )
-def test_a_long_trial_is_named_with_what_is_followed_in_it(
+def test_the_resolved_frequency_of_a_long_trial_is_logged(
     model, caplog, seconds, words
 ):
     """Splines follow 30 Hz in a trial of a second, and less in a longer one."""
@@ -90,7 +90,7 @@ def test_rest_at_the_end_is_trimmed(swinging_trial, damped_swing):
     assert len(trimmed.points) == 5 * len(trimmed.times)
 
 
-def test_rest_is_that_at_the_end(swinging_trial):
+def test_earlier_rest_at_another_place_is_kept(swinging_trial):
     """The rest position is that at the end of the trial.
 
     For most of the time the string rests elsewhere.
@@ -103,7 +103,7 @@ def test_rest_is_that_at_the_end(swinging_trial):
 
 
 @pytest.mark.parametrize(("factor", "end"), [(1e3, 9.99), (1e-3, KEPT_REST_S)])
-def test_a_string_that_moves_or_rests_throughout(swinging_trial, factor, end):
+def test_a_moving_trial_is_kept_and_a_resting_one_trimmed(swinging_trial, factor, end):
     scaled = replace(swinging_trial, points=swinging_trial.points * factor)
     trimmed = trim_trailing_rest(scaled)
     assert trimmed.times[-1] == pytest.approx(end, abs=0.011)

@@ -142,7 +142,7 @@ def test_verdict_follows_from_numbers(numbers, changed, kind, causes):
     assert (decided.kind, decided.causes) == (kind, causes)
 
 
-def test_no_cause_is_suspected_where_simulation_is_uncertain():
+def test_no_cause_is_suggested_if_simulation_is_uncertain():
     single = replace(FOUND, trials=1)
     remark = decide_verdict(single, CRITERIA).remark
     assert "it would be wind (0.97)" in remark
@@ -152,7 +152,7 @@ def test_no_cause_is_suspected_where_simulation_is_uncertain():
     assert "uncertain by up to 9.2 mm" in remark
 
 
-def test_verdict_keeps_the_probability_of_the_model_that_it_leaves():
+def test_verdict_has_the_misfit_probability_of_its_model():
     assert decide_verdict(FOUND, CRITERIA).misfit_probability == 0.1
     poor = replace(FOUND, explained_fraction=0.2)
     assert decide_verdict(poor, CRITERIA).misfit_probability == 1.0
@@ -160,7 +160,7 @@ def test_verdict_keeps_the_probability_of_the_model_that_it_leaves():
     assert decide_verdict(unpredictive, CRITERIA).misfit_probability == 0.1
 
 
-def test_look_alikes_stand_in_groups():
+def test_look_alikes_are_grouped():
     sets = (("wind",), ("tilt", "clamp"))
     numbers = replace(FOUND, causes=("wind", "tilt"), credible_sets=sets)
     assert decide_verdict(numbers, CRITERIA).lookalike_groups == (("tilt", "clamp"),)
@@ -184,7 +184,7 @@ def test_remark_states_the_closest_explanation():
     assert decide_verdict(worse, CRITERIA).remark == ""
 
 
-def test_remark_on_one_trial_states_what_it_would_be():
+def test_remark_on_one_trial_states_the_probable_cause():
     remark = decide_verdict(replace(FOUND, trials=1), CRITERIA).remark
     assert remark.endswith("In this trial it would be wind (0.97).")
 
@@ -204,6 +204,6 @@ def test_remark_on_one_trial_states_what_it_would_be():
         ((1.0, 0.5), (0.5, 0.5), 0.75),
     ],
 )
-def test_each_trial_has_one_vote_on_what_is_explained(before, after, share):
+def test_trials_have_equal_weight_in_the_explained_fraction(before, after, share):
     misfit_m = np.array(before) / 1e3, np.array(after) / 1e3
     assert mean_explained_fraction(*misfit_m, 2e-3) == pytest.approx(share, abs=0.01)

@@ -36,7 +36,7 @@ from stringcast.stages.model.library import effects_by_name, find_effects
 EFFECTS = ("joint_gain", "time_offset", "arm_lag", "tip_mass", "wind", "resolution")
 
 
-def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch):
+def test_causes_that_do_not_improve_predictions_are_not_named(arm, monkeypatch):
     """Causes that predict no trial left out are not named.
 
     The joints turn 3 % further than they report, which is named where it predicts
@@ -66,7 +66,7 @@ def test_causes_that_predict_no_trial_left_out_are_not_named(arm, monkeypatch):
     ("uncertainty_m", "kept_each_time", "rejected"),
     [(1e-3, [(), ("t2",)], []), (9e-3, [()], ["t2"])],
 )
-def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
+def test_a_trial_that_is_resolved_only_with_causes_is_used(
     uncertainty_m, kept_each_time, rejected, monkeypatch
 ):
     """A trial that is resolved only with causes is searched as well.
@@ -97,7 +97,7 @@ def test_a_trial_that_only_simulation_with_causes_resolves_is_searched_as_well(
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
 
 
-def test_what_was_proposed_stays_known_without_a_chaotic_trial(arm):
+def test_proposals_are_kept_without_a_chaotic_trial(arm):
     """The page lists it. The fits of these steps were to a trial that is gone."""
     hypothesis = Hypothesis(with_second_order_mesh(ordinary(arm)))
     model = hypothesis.model
@@ -127,9 +127,7 @@ def test_what_was_proposed_stays_known_without_a_chaotic_trial(arm):
 
 
 @pytest.mark.parametrize("returns", [False, True])
-def test_a_trial_that_is_chaotic_with_causes_returns_once_if_others_resolve_it(
-    returns, monkeypatch
-):
+def test_a_trial_that_is_chaotic_with_causes_is_used_again_once(returns, monkeypatch):
     """A strip took 80 s more to be searched anew, and other causes were found.
 
     The third trial is chaotic with the causes whenever it is there. It may be resolved
@@ -171,7 +169,7 @@ def test_a_trial_that_is_chaotic_with_causes_returns_once_if_others_resolve_it(
     assert [*used.left_out] == ["t2"]
 
 
-def test_a_search_begins_again_in_short_steps_if_long_ones_are_chaotic(monkeypatch):
+def test_a_search_is_repeated_with_short_steps_if_long_ones_are_chaotic(monkeypatch):
     """Steps were chosen with the base model, of another string than with the causes."""
 
     def prepare(model, observations, tolerance, rng, starts, progress, step_s, keep):
@@ -233,9 +231,7 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     assert used.left_out == ({} if is_predicted else {"t2": "of another motion"})
 
 
-def test_a_search_begins_again_in_a_range_that_the_causes_found_too_narrow(
-    arm, monkeypatch
-):
+def test_a_search_is_repeated_in_a_wider_range_if_causes_require_it(arm, monkeypatch):
     """The search in the narrow range may have led to other causes.
 
     The third trial is chaotic without a cause, and returns at once in the wide range.

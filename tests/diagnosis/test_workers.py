@@ -107,7 +107,7 @@ def test_an_error_is_raised_after_the_calls_before_it(lines):
     assert lines == ["0", "1", "2", "3"]
 
 
-def test_the_calls_of_killed_workers_are_made_again():
+def test_calls_of_killed_workers_are_repeated():
     parent = os.getpid()
 
     def end_in_worker(number):
@@ -166,7 +166,7 @@ def test_an_interruption_while_a_worker_starts_is_not_lost():
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_workers_end_with_a_process_that_is_killed(tmp_path):
+def test_workers_end_if_their_process_is_killed(tmp_path):
     def write_process_and_wait(number):
         (tmp_path / str(os.getpid())).touch()
         time.sleep(60)
@@ -192,7 +192,7 @@ def prepared(arm):
     return prepare_swings(with_model(trials, model), model)
 
 
-def test_two_workers_choose_causes_to_the_same_bits(prepared):
+def test_two_workers_select_causes_with_identical_results(prepared):
     steps = []
     for workers in (1, 2):
         with use_workers(workers):
@@ -208,7 +208,7 @@ def test_two_workers_choose_causes_to_the_same_bits(prepared):
     assert content_digest(one) == content_digest(other)
 
 
-def test_two_workers_refit_without_trials_to_the_same_bits(prepared, monkeypatch):
+def test_two_workers_refit_without_trials_with_identical_results(prepared, monkeypatch):
     monkeypatch.setattr(left_out_fits, "MIN_GAIN", -1.0)  # no step is enough
     refits = []
     for workers in (1, 2):
@@ -223,7 +223,7 @@ def test_two_workers_refit_without_trials_to_the_same_bits(prepared, monkeypatch
 
 
 @pytest.mark.long
-def test_a_diagnosis_has_the_same_bits_with_two_workers(arm, camera, monkeypatch):
+def test_a_diagnosis_is_identical_with_two_workers(arm, camera, monkeypatch):
     diagnoses = []
     for workers in (1, 2):
         with use_workers(workers):

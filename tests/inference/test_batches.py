@@ -30,7 +30,7 @@ def all_plans(seconds):
 
 
 @pytest.mark.parametrize("candidates", [1, 6, 40])
-def test_batches_cost_as_little_as_the_best_of_all_plans(candidates):
+def test_planned_batches_have_the_least_cost_of_all_plans(candidates):
     seconds = np.random.default_rng(candidates).uniform(0.3, 1.5, 7).tolist()
     planned = batch._plan_batches(seconds, candidates)
     costs = [plan_cost(plan, seconds, candidates) for plan in all_plans(seconds)]

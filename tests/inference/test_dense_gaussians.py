@@ -79,7 +79,7 @@ def root_at_points(film, size):
     return np.einsum("nr,nk->nrk", in_time, in_place).reshape(len(film.s), -1)
 
 
-def test_a_discrepancy_covaries_as_its_kernel_says(film):
+def test_the_covariance_of_a_discrepancy_is_its_kernel(film):
     growth = np.linspace(0.2, 1.5, FRAMES)
     root = root_at_points(film, growth)
     t = film.times[film.frame]
@@ -93,7 +93,7 @@ def test_a_discrepancy_covaries_as_its_kernel_says(film):
     assert root @ root.T == pytest.approx(expected, abs=1e-3 * expected.max())
 
 
-def test_knots_that_are_far_apart_lengthen_the_correlation(film):
+def test_the_correlation_time_is_at_least_two_knot_spacings(film):
     """Of a minute, 64 splines are 0.95 s apart, and two gaps are the correlation time."""
     film.times = np.linspace(0.0, 60.0, FRAMES)
     film.sigma = np.ones(FRAMES * POINTS)
@@ -162,7 +162,9 @@ def test_residuals_are_split_into_discrepancy_nuisance_and_noise(
 
 
 @pytest.mark.parametrize("grid_point", [SCALE_INDEX, LATE])
-def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
+def test_posterior_samples_of_a_discrepancy_have_its_posterior_variance(
+    film, errors, grid_point
+):
     """Their covariance in coefficients is C - C (1 + C)^-1 C."""
     smooth = dense_discrepancy(film, errors, grid_point)
     count = len(smooth)
@@ -180,7 +182,7 @@ def test_discrepancies_scatter_by_what_noise_hides(film, errors, grid_point):
 
 
 @pytest.mark.parametrize("onset", [0, 2, 4])
-def test_when_a_discrepancy_begins_is_found(film, onset):
+def test_the_onset_of_a_discrepancy_is_found(film, onset):
     """Draw twenty of 20 mm that begin at the same time, and add noise."""
     film.times = np.linspace(2.0, 3.2, FRAMES)
     errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
@@ -194,7 +196,7 @@ def test_when_a_discrepancy_begins_is_found(film, onset):
     assert np.median(found) == onset
 
 
-def test_every_onset_is_as_likely_before_the_data_speak():
+def test_all_onsets_have_the_same_prior():
     by_onset = np.exp(log_grid_prior()).reshape(len(ONSET_SHARES), SCALES)
     assert by_onset.sum(axis=1) == pytest.approx(1 / len(ONSET_SHARES))
 
@@ -207,7 +209,7 @@ def test_a_discrepancy_is_a_hundredth_before_its_onset(film):
     assert sizes[3] == pytest.approx(expected)
 
 
-def test_time_and_place_separate_where_all_frames_show_the_same_places():
+def test_time_and_place_separate_if_all_frames_show_the_same_places():
     times = 2.0 + 0.5 * basis.KNOT_SPACING_S * np.arange(FRAMES)
     film = make_film(times, SEPARABLE_SIGMA_M)
     alike = DiscrepancyBasis.for_trial(film, GROWTH)
@@ -254,7 +256,7 @@ def test_sums_over_points_are_those_of_all_products(film):
     assert products == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
 
 
-def test_coefficients_come_back_from_the_points_that_have_them(film):
+def test_coefficients_are_recovered_from_the_points_evaluated_from_them(film):
     errors = DiscrepancyBasis.for_trial(film, GROWTH)
     count = errors.coefficients(np.zeros((1, 2 * len(film.s)))).shape[1]
     everywhere = np.ones(len(film.s), dtype=bool)
@@ -302,7 +304,7 @@ def test_the_restricted_likelihood_is_that_of_dense_matrices(correlation):
     assert found == pytest.approx(-0.5 * twice, abs=1e-6)
 
 
-def test_the_quieter_trials_just_over_half_of_them_give_the_noise():
+def test_noise_is_estimated_from_the_quieter_half_of_the_trials():
     rng = np.random.default_rng(5)
     frames = 60
     time = np.column_stack([np.ones(frames), np.arange(frames)])
@@ -322,7 +324,7 @@ def test_the_quieter_trials_just_over_half_of_them_give_the_noise():
     assert alone.place_covariance == pytest.approx(both.place_covariance, rel=1e-3)
 
 
-def test_the_correlation_with_the_frame_before_is_a_half_at_most():
+def test_the_frame_correlation_is_at_most_one_half():
     smooth = np.cumsum(np.random.default_rng(6).standard_normal((80, 12)), axis=0)
     track = noise.NoiseTrack(np.ones((80, 1)), smooth)
     found = noise.fit_noise_model([track])
@@ -330,7 +332,7 @@ def test_the_correlation_with_the_frame_before_is_a_half_at_most():
 
 
 @pytest.mark.parametrize("hinge", [0.0, 1.0])
-def test_a_random_walk_is_inferred_as_by_a_dense_normal(hinge):
+def test_the_posterior_of_a_random_walk_is_that_of_a_dense_normal(hinge):
     """Its steps are independent, and the first one is to the middle of a piece."""
     rng = np.random.default_rng(7)
     pieces, places, wander = initial_state.CURVE_PIECES, 5, 0.7

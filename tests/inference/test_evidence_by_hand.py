@@ -109,13 +109,15 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
         ((0.0, -6.0), 5.0),  # the second comes to a bound
     ],
 )
-def test_one_more_step_promises_what_a_quadratic_falls_within_bounds(gradient, gain):
+def test_the_predicted_gain_of_a_step_is_the_fall_of_a_quadratic_within_bounds(
+    gradient, gain
+):
     curvature = np.diag([4.0, 2.0])
     promised = solver.promised_gain(curvature, np.array(gradient), np.zeros(2))
     assert promised == pytest.approx(gain)
 
 
-def test_the_evidence_is_wrong_by_what_the_best_exponents_would_gain():
+def test_the_error_of_the_evidence_is_the_gain_to_the_best_exponents():
     data = LinearData()
     hypothesis = hypothesis_of(FAR)
     rows = [
@@ -186,7 +188,7 @@ def curved(start):
 
 
 @pytest.mark.parametrize(("start", "offset"), [(0.1, 2e-5), (0.9, -2e-5)])
-def test_slopes_are_differenced_into_the_range(start, offset):
+def test_finite_differences_step_into_the_range(start, offset):
     residuals = curved(start)
     asked = []
 
@@ -257,7 +259,7 @@ def test_a_jackknife_leaves_out_each_block_in_turn():
     assert found.matrix == pytest.approx(0.8 * away.T @ away, rel=1e-3)
 
 
-def test_a_covariance_holds_what_is_known_beforehand():
+def test_the_covariance_includes_the_prior():
     """Each block has a curvature of 2, and the prior one of 12."""
     found = covariance.jackknife_covariance(
         np.ones((1, 4)), np.array([1.0, 1, -1, -1]), np.ones(4), np.array([0, 0, 1, 1])
@@ -265,7 +267,7 @@ def test_a_covariance_holds_what_is_known_beforehand():
     assert found.matrix[0, 0] == pytest.approx((2 / 14) ** 2 + 12 / 16**2)
 
 
-def test_a_fit_names_its_numbers():
+def test_a_fit_gives_exponents_and_values_by_name():
     mass = Parameter("tip_mass.mass", "1", "", low=1.0, high=100.0, start=1.0)
     own = SimpleNamespace(name="mass")
     cause = SimpleNamespace(
@@ -308,7 +310,7 @@ def test_parameters_of_a_hypothesis_are_found_among_those_of_its_model(arm, came
     assert list(np.delete(known, 1)) == list(np.delete(absent, 1))
 
 
-def test_a_trial_that_diverged_in_part_counts_as_diverged():
+def test_a_partly_diverged_trial_is_diverged():
     rows = np.array([[1.0, 2.0], [3.0, DIVERGED_RESIDUAL]])
     asked = []
 
@@ -336,7 +338,9 @@ EXPONENTIAL = Parameter("e", "1", "", low=1e-2, high=1.0, start=0.1)
 @pytest.mark.parametrize(
     ("chi", "gradient"), [(0.5, 1.0), (0.5, -1.0), (0.1, 1.0), (0.9, -50.0)]
 )
-def test_steps_are_damped_and_go_both_ways_within_bounds(chi, gradient):
+def test_trial_steps_are_damped_in_exponents_and_values_and_stay_within_bounds(
+    chi, gradient
+):
     """One parameter from 0.01 to 1, whose curvature is 4."""
     runs = SimpleNamespace(
         chi=np.array([[chi]]),
@@ -360,7 +364,7 @@ def test_steps_are_damped_and_go_both_ways_within_bounds(chi, gradient):
     assert found == pytest.approx(expected)
 
 
-def test_steps_end_at_the_bounds_whatever_the_others_do(monkeypatch):
+def test_trial_steps_are_limited_by_bounds_and_longest_steps(monkeypatch):
     boxes = []
 
     def record(normal, gradient, low, high):
@@ -413,7 +417,7 @@ def test_curvature_and_gradient_are_those_of_half_the_loss(limit):
     assert runs.width[0] == pytest.approx([1e-4, 1e-4])
 
 
-def test_widths_move_points_by_a_tenth_of_the_residual_within_limits():
+def test_difference_widths_move_points_by_a_tenth_of_the_residual_within_limits():
     slope = np.array([[[3.0, 4.0], [3e3, 4e3], [0.0, 0.0], [3e6, 4e6]]])
     rms = np.sqrt(12.5)
     found = solver.difference_widths(slope, np.array([0.25]))
@@ -462,7 +466,7 @@ def test_a_run_takes_the_best_of_its_steps(monkeypatch, best, damping):
     assert runs.active[0]
 
 
-def test_a_step_that_gains_what_slopes_promise_is_taken_at_once(monkeypatch):
+def test_a_step_that_gains_what_slopes_predict_needs_no_further_trial_step(monkeypatch):
     """Of a promise of 0.5 it gains 0.41 or 0.39; more damping would gain 0.9."""
     for least_damped in (0, 4):
         losses = np.full(8, 0.1)
@@ -475,7 +479,7 @@ def test_a_step_that_gains_what_slopes_promise_is_taken_at_once(monkeypatch):
         assert runs.loss[0] == pytest.approx(0.1)
 
 
-def test_a_run_ends_where_it_gains_too_little_or_no_damping_helps(monkeypatch):
+def test_a_run_stops_if_it_gains_too_little_or_no_damping_helps(monkeypatch):
     """Ten numbers gain 5 ln(loss before / after) of the log-likelihood."""
     large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
     assert fake_step(monkeypatch, large, promise=0.0099).active[0]
@@ -493,7 +497,7 @@ def test_a_run_ends_where_it_gains_too_little_or_no_damping_helps(monkeypatch):
     assert fake_step(monkeypatch, np.zeros(8), 1e-6).damping[0] == pytest.approx(1e-8)
 
 
-def test_a_run_of_which_much_is_promised_ends_at_its_second_slow_step(monkeypatch):
+def test_a_run_with_a_large_predicted_gain_stops_at_its_second_slow_step(monkeypatch):
     large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
     runs = fake_step(monkeypatch, small)
     assert runs.active[0]
@@ -505,7 +509,7 @@ def test_a_run_of_which_much_is_promised_ends_at_its_second_slow_step(monkeypatc
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_quadratic_in_a_box_is_least_where_its_gradient_points_outwards(seed):
+def test_at_the_minimum_in_a_box_the_descent_points_outwards(seed):
     """Karush-Kuhn-Tucker: zero where free, outwards at a bound."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((5, 5))

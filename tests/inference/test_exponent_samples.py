@@ -31,7 +31,7 @@ def sample_by_rejection(parameters, centre, covariance):
 
 @pytest.mark.parametrize("pair", PAIRS)
 @pytest.mark.parametrize("correlation", [0.0, 0.9, -0.98])
-def test_samples_are_those_of_rejection(pair, correlation):
+def test_samples_agree_with_rejection_sampling(pair, correlation):
     """The valley is bent in exponents, and its ends lie at the faces of the square."""
     parameters = PAIRS[pair]
     drag, other = parameters
@@ -47,13 +47,13 @@ def test_samples_are_those_of_rejection(pair, correlation):
 
 
 @pytest.mark.parametrize("centre", [(0.0, 1.0), (0.5, 0.5)])
-def test_what_no_data_touches_has_any_exponent(centre):
+def test_exponents_of_undetermined_parameters_are_uniform(centre):
     found = sample(PAIRS["a drag and wind"], np.array(centre), 1e12 * np.eye(2))
     assert found.mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.05)
     assert found.std(axis=0) == pytest.approx(np.full(2, 1 / np.sqrt(12)), rel=0.1)
 
 
-def test_exact_data_leave_one_solution():
+def test_samples_of_exact_data_are_the_solution():
     centre = np.array([0.3, 0.0])
     along = np.array([[1.0, 1.0], [1.0, 1.0 + 1e-9]])
     found = sample(PAIRS["two drags"], centre, 1e-16 * along)

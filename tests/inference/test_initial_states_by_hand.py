@@ -42,7 +42,7 @@ def places_on_curve(s, angle):
     return np.array(places)
 
 
-def test_places_lie_on_the_pieces_and_turn_with_them():
+def test_places_move_with_the_angles_of_the_pieces():
     s = np.array([0.0, 0.004, 0.2, 0.3999, 0.41])
     angle = np.linspace(0.2, 2.0, CURVE_PIECES)
     before = initial_state._length_before(s, LENGTH)
@@ -75,7 +75,7 @@ def test_parabolas_have_the_coefficients_of_least_squares():
         assert residual_rms[place] == pytest.approx(np.sqrt(square / 2), abs=1e-9)
 
 
-def test_a_line_of_corners_goes_by_way_of_the_measured_places():
+def test_the_initial_line_passes_through_measured_places():
     """From the grasp along y, then along x; the angle is continuous from the hand's."""
     s = np.array([0.0, 0.1, 0.2, 0.3, 0.4])
     position = POSE[:2] + [[0, 0], [0, 0.1], [0, 0.2], [0.1, 0.2], [0.2, 0.2]]
@@ -93,7 +93,7 @@ def test_a_line_of_corners_goes_by_way_of_the_measured_places():
     assert angles == pytest.approx(np.full(CURVE_PIECES, np.pi / 2))
 
 
-def test_a_shape_is_the_likeliest_curve_of_the_wander_of_highest_evidence():
+def test_the_shape_is_the_posterior_mean_at_the_wander_of_highest_evidence():
     """Where the curve is all but straight, the posterior is that of one linear step."""
     rng = np.random.default_rng(1)
     s = np.linspace(0.04, 0.4, 8)
@@ -116,7 +116,7 @@ def test_a_shape_is_the_likeliest_curve_of_the_wander_of_highest_evidence():
 
 
 @pytest.mark.parametrize("size", [0.1, 0.5, 1.0, 2.0, 4.0])
-def test_a_string_moves_where_the_evidence_is_clear(size):
+def test_a_string_is_taken_to_move_only_with_clear_evidence(size):
     """Twenty to one against a string that turns with the hand."""
     s = np.linspace(0.05, 0.4, 8)
     angle = np.full(CURVE_PIECES, -np.pi / 2)
@@ -142,7 +142,7 @@ def test_a_string_moves_where_the_evidence_is_clear(size):
     assert gain > -3.0
 
 
-def test_a_state_begins_with_the_first_frame_in_a_hand_that_turns():
+def test_a_state_at_the_first_frame_has_the_turning_rate_of_the_hand():
     """A straight string that turns with its hand, 0.1 s after the motion begins."""
     tick, count = 0.01, 40
     t = tick * np.arange(count)
@@ -217,7 +217,7 @@ def moving_trial(amplitudes=None, memory=0.2):
     )
 
 
-def test_modes_of_a_string_held_at_one_end_change_its_state():
+def test_amplitudes_of_modes_change_angles_and_rates():
     known = np.linspace(-0.5, 0.5, 12)
     wanted = np.random.default_rng(2).standard_normal((3, 13))
     found = initial_modes.with_initial_amplitudes(moving_trial(known), wanted)
@@ -237,7 +237,7 @@ def test_modes_of_a_string_held_at_one_end_change_its_state():
     assert alone.initial_state.memory_reversal == pytest.approx(0.5 * wanted[1, 12])
 
 
-def test_a_string_whose_hinges_hold_may_be_let_back():
+def test_a_string_with_memory_has_a_parameter_for_its_reversal():
     plain = SimpleNamespace(memory_count=lambda slot: 0)
     one_slot = SimpleNamespace(memory_count=lambda slot: slot == "moment")
     modes = initial_modes.initial_state_parameters(plain)
@@ -278,7 +278,7 @@ def test_modes_are_fitted_with_a_unit_prior(linear_residuals):
     assert amplitudes == pytest.approx(expected, abs=2e-3)
 
 
-def test_residuals_of_amplitudes_are_white_and_large_where_diverged(monkeypatch):
+def test_residuals_of_the_initial_state_are_white_or_those_of_divergence(monkeypatch):
     rows = np.array([[1.0, 2.0], [np.nan, 3.0]])
     monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", lambda *given: rows)
     parameters = initial_modes.MODE_PARAMETERS[:2]
@@ -291,7 +291,7 @@ def test_residuals_of_amplitudes_are_white_and_large_where_diverged(monkeypatch)
     assert found == pytest.approx(np.array(expected))
 
 
-def test_a_state_is_refined_by_the_first_part_over_its_noise(monkeypatch):
+def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
     """The noise is that of residuals with the amplitudes as they are."""
     asked = []
 
@@ -329,7 +329,7 @@ def test_a_state_is_refined_by_the_first_part_over_its_noise(monkeypatch):
     assert np.array_equal(unchanged.initial_state.angle, trial.initial_state.angle)
 
 
-def test_columns_of_modes_are_over_sigma_and_none_at_rest(monkeypatch):
+def test_mode_columns_are_over_sigma_and_empty_at_rest(monkeypatch):
     slopes = np.arange(24.0).reshape(8, 3)
     monkeypatch.setattr(
         initial_modes,
@@ -351,7 +351,7 @@ def test_slopes_of_amplitudes_are_in_metres(linear_residuals):
     assert slopes == pytest.approx(linear_residuals.T)
 
 
-def test_a_mode_that_cannot_be_simulated_has_no_slope(monkeypatch):
+def test_a_mode_whose_simulation_diverges_has_zero_slopes(monkeypatch):
     def residuals(trial, values, amplitudes):
         moved = amplitudes @ np.ones((13, 8))
         moved[2, 3] = np.nan
@@ -364,7 +364,7 @@ def test_a_mode_that_cannot_be_simulated_has_no_slope(monkeypatch):
     assert slopes == pytest.approx(expected)
 
 
-def test_points_are_displaced_by_the_modes_among_the_shapes():
+def test_resetting_the_initial_state_displaces_points_by_its_modes():
     amplitudes = np.zeros(12)
     amplitudes[1] = 2.0
     trial = moving_trial(amplitudes, memory=0.25)

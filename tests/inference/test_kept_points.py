@@ -52,7 +52,7 @@ def test_only_candidates_that_are_new_are_simulated(model, trial, simulated):
         assert other[:, 0, 0].tolist() == CANDIDATES[::-1, 0].tolist()
 
 
-def test_other_readings_of_a_trial_are_not_simulated_again(model, trial, simulated):
+def test_a_trial_with_other_readings_is_not_simulated_again(model, trial, simulated):
     batch.normalised_residuals(model, [trial], CANDIDATES)
     other = replace(trial, points=2 * trial.points, sigma=0.5 * trial.sigma)
     (residuals,) = batch.normalised_residuals(model, [other], CANDIDATES)
@@ -77,7 +77,7 @@ def test_another_motion_or_place_is_simulated(model, trial, simulated, change):
     assert len(simulated) == 2
 
 
-def test_points_of_another_model_are_simulated_anew(model, trial, simulated):
+def test_points_of_another_model_are_simulated_again(model, trial, simulated):
     batch.measured_points(model, [trial], CANDIDATES)
     batch.measured_points(
         model.with_effects(*find_effects(["wind"])), [trial], CANDIDATES
@@ -87,7 +87,7 @@ def test_points_of_another_model_are_simulated_anew(model, trial, simulated):
     assert len(simulated) == 3
 
 
-def test_an_effect_that_is_defined_again_is_simulated(model, trial, simulated):
+def test_a_redefined_effect_is_simulated_again(model, trial, simulated):
     """A notebook changes a law under the same name."""
     (effect,) = find_effects(["wind"])
     again = type(effect.__name__, (effect,), {"__module__": effect.__module__})
@@ -97,7 +97,7 @@ def test_an_effect_that_is_defined_again_is_simulated(model, trial, simulated):
     assert len(simulated) == 2
 
 
-def test_as_many_points_are_kept_as_fit_in_memory(model, trial, simulated, monkeypatch):
+def test_the_number_of_kept_points_is_limited(model, trial, simulated, monkeypatch):
     monkeypatch.setattr(kept_points, "MAX_KEPT_NUMBERS", 3 * 6)
     batch.measured_points(model, [trial], CANDIDATES)
     batch.measured_points(model, [trial], CANDIDATES[2:])

@@ -33,7 +33,7 @@ def likelihood(cast_set, points, step):
     )
 
 
-def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(cast_set):
+def test_each_mesh_has_half_the_segments_and_steps_down_to_ten_segments(cast_set):
     found = [
         (r.model.string.points - 1, r.model.string.largest_step)
         for r in mesh_ladder(likelihood(cast_set, 41, 5e-4))
@@ -49,7 +49,9 @@ def test_a_rung_has_half_the_segments_and_half_as_many_steps_down_to_ten(cast_se
     )
 
 
-def test_the_error_of_a_mesh_is_of_second_order_and_what_the_truth_is_off(cast_set):
+def test_the_error_of_a_mesh_is_of_second_order_and_the_distance_from_the_truth(
+    cast_set,
+):
     """The error of a mesh is of second order, and equals its distance from the truth.
 
     In the first 0.4 s of casts of string B it is 0.49 mm with 20 points, 0.12 mm with
@@ -84,7 +86,7 @@ def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
         assert 2 < count < len(trial.times)
 
 
-def test_horizons_begin_before_a_limp_string_swings_to_the_other_side(cast_set):
+def test_the_first_horizon_ends_before_a_limp_string_swings_through(cast_set):
     """The first horizon ends before a limp string swings to the other side.
 
     It is a quarter of the period of a hanging chain of 0.3 m, 4 pi / 2.405 sqrt(L/g) =

@@ -64,7 +64,7 @@ def standard_errors_off(likelihood, chi, truth, name):
 
 
 @pytest.mark.parametrize("name", ["A", "C"])
-def test_a_coarse_mesh_shows_the_stiffness_of_the_string_itself(name):
+def test_a_corrected_coarse_mesh_gives_the_true_stiffness(name):
     likelihood, chi, truth = fit_slow_swing(FAR_FINER, name)
     stiffness = "bending_stiffness"
     assert standard_errors_off(likelihood, chi, truth, stiffness) > 6
@@ -73,7 +73,7 @@ def test_a_coarse_mesh_shows_the_stiffness_of_the_string_itself(name):
     assert corrected.noise_scales[0] < likelihood.noise_scales[0]
 
 
-def test_a_mesh_that_hardly_resolves_a_string_loses_nine_tenths_of_its_error():
+def test_correction_removes_nine_tenths_of_the_error_of_a_barely_sufficient_mesh():
     """String D bends over 18 mm, and the segments are 16 mm long."""
     likelihood, chi, truth = fit_slow_swing(FAR_FINER, "D")
     _, best = refine_at_mesh_limit(likelihood, chi)
@@ -83,14 +83,14 @@ def test_a_mesh_that_hardly_resolves_a_string_loses_nine_tenths_of_its_error():
     assert abs(best - truth)[stiffness] < 0.1 * before
 
 
-def test_what_is_measured_of_the_mesh_itself_is_not_corrected():
+def test_data_of_the_mesh_itself_are_not_corrected():
     likelihood, chi, _ = fit_slow_swing(COARSE, "D")
     corrected, best = refine_at_mesh_limit(likelihood, chi)
     assert corrected is likelihood
     assert best is chi
 
 
-def test_a_correction_of_a_soft_string_begins_on_a_finer_mesh():
+def test_corrections_of_a_soft_string_start_from_a_finer_mesh():
     """From the solution on the mesh itself, it left a quarter more."""
     likelihood, chi, _ = fit_slow_swing(FAR_FINER, "D", swing_rad=0.4)
     corrected, _ = refine_at_mesh_limit(likelihood, chi)
@@ -105,7 +105,7 @@ def test_amplitudes_are_those_of_a_regression_with_a_normal_prior():
 
 
 @pytest.mark.parametrize("amplitude", [-1.5, 0.0, 1.0])
-def test_an_uncertain_error_is_subtracted_as_far_as_the_trial_shows_it(
+def test_an_uncertain_error_is_subtracted_with_its_estimated_amplitude(
     arm, camera, amplitude
 ):
     """Another shape, such as of an initial state, stays in the points."""

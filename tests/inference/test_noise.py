@@ -99,7 +99,7 @@ OF_MEANS = (
 )
 
 
-def test_correlation_is_told_beside_motion_however_large(trial):
+def test_noise_correlation_is_estimated_despite_large_motion(trial):
     rng, swing = (
         np.random.default_rng(0),
         40 * np.sin(15 * T[trial.frame] + 4 * trial.s) * trial.s / 0.3,
@@ -121,7 +121,7 @@ def test_white_noise_is_white(trial):
     assert found.variance_of_means == pytest.approx(1.0, abs=0.15)
 
 
-def test_what_a_model_lacks_in_two_of_five_trials_is_no_noise(trial):
+def test_misfit_in_two_of_five_trials_does_not_raise_the_noise(trial):
     rng, crack = (
         np.random.default_rng(2),
         8 * np.sin(250 * T[trial.frame]) * trial.s / 0.3,
@@ -144,7 +144,7 @@ def dense_products(time, place):
     return products.reshape(len(time), -1)
 
 
-def test_sums_over_a_film_vary_as_a_dense_covariance_says(trial):
+def test_sums_over_a_film_have_the_variance_of_the_dense_covariance(trial):
     noise = Noise(of_places(along_string()) + 1e-9 * np.eye(PLACE_FUNCTIONS), BEFORE)
     time, place = time_splines(T), place_functions(trial.s, 0.3)
     splines = dense_products(time[trial.frame], place)
@@ -179,7 +179,7 @@ def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
     assert of_x.T @ of_x == pytest.approx(np.eye(of_x.shape[1]), abs=1e-5)
 
 
-def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):
+def test_estimates_of_smooth_motion_have_their_stated_uncertainty(trial):
     """The stated uncertainty of a smooth motion is its scatter.
 
     Over 400 noises its amplitude varies by one stated deviation where their correlation
@@ -208,7 +208,7 @@ def test_what_is_known_of_smooth_motion_is_as_sure_as_is_said(trial):
     assert scatter(WHITE_NOISE) > 1.5
 
 
-def test_what_is_lacking_is_found_where_it_is_under_any_noise(trial):
+def test_a_discrepancy_is_located_under_any_noise(trial):
     lacks = np.stack(
         [30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3] * 2, axis=1
     ).ravel()
@@ -228,7 +228,7 @@ def test_what_is_lacking_is_found_where_it_is_under_any_noise(trial):
         assert found == pytest.approx(lacks, abs=0.5)
 
 
-def test_trials_share_a_basis_unless_places_times_noise_or_growth_differ(trial):
+def test_trials_with_equal_places_times_noise_and_growth_share_a_basis(trial):
     """Corrected points have the same basis, as long as anything uses it."""
     growth = np.ones(FRAMES)
     basis = DiscrepancyBasis.for_trial(trial, growth)
@@ -251,7 +251,7 @@ def test_trials_share_a_basis_unless_places_times_noise_or_growth_differ(trial):
     assert before() is None
 
 
-def test_discrepancies_drawn_at_some_points_are_those_drawn_at_all(trial):
+def test_samples_at_some_points_are_those_of_samples_at_all_points(trial):
     """Draws at the tip alone are those at all points, and agree with their mean."""
     no_shapes = np.zeros((2 * len(trial.s), 0))
     one = Discrepancy.for_trial(trial, np.ones(FRAMES), no_shapes)

@@ -39,7 +39,7 @@ DOWNWARDS = Parameter("a", "1", "", low=0.0, high=1.0, start=1.0)
 @pytest.mark.parametrize(
     ("amplitude", "whole"), [(ONE_SIDED, 1.0), (DOWNWARDS, 1.0), (TWO_SIDED, 0.5)]
 )
-def test_the_prior_of_a_tip_shift_is_a_density_to_either_side(amplitude, whole):
+def test_the_prior_of_a_tip_shift_integrates_to_one_over_both_signs(amplitude, whole):
     def density(tip_shift):
         return laplace.tip_shift_density(np.asarray(tip_shift), amplitude)
 
@@ -60,7 +60,7 @@ def test_the_prior_of_an_exponent_is_that_of_its_tip_shift():
     assert laplace.log_prior(ONE_SIDED, 0.5, 9.0, 0.5) == np.log(np.finfo(float).tiny)
 
 
-def test_a_slope_across_the_edge_of_what_can_be_simulated_is_none():
+def test_slopes_of_a_diverging_simulation_are_zero():
     shapes = np.array([[3.0, -1.0], [0.5, 2.0]])
     chi = np.array([0.9, 0.2])
 
@@ -174,7 +174,7 @@ def test_blocks_of_time_are_counted_through_all_trials():
     assert list(blocks) == [0, 0, 0, 0, 1, 1, 2, 2, 4, 4, 3, 3]
 
 
-def test_uniform_parameters_are_kept_in_the_middle_where_no_data_speaks():
+def test_undetermined_uniform_parameters_stay_in_the_middle():
     model = SimpleNamespace(parameters=(ONE_SIDED,) * 3)
     data = SimpleNamespace(
         residuals=lambda model, chi: [np.ones((len(chi), 2))],
@@ -217,14 +217,14 @@ def moving(onset_s, state=None, turn=0.2, axis=2):
         (moving(0.045, turn=0.0028, axis=1), 1.0 + 0.1),
     ],
 )
-def test_trials_are_cut_after_the_hand_began_to_move(monkeypatch, trial, last):
+def test_trials_are_cut_after_the_motion_onset(monkeypatch, trial, last):
     monkeypatch.setattr(Likelihood, "with_trials", lambda self, trials: trials)
     fitted = Likelihood(SimpleNamespace(trials=[trial]), None)
     assert fitted.cut_after_onset(0.1) == pytest.approx([last])
     assert fitted.cut_after_onset(0.0)[0] >= 1.03  # two frames at least
 
 
-def test_horizons_widen_until_most_of_the_longest_trial():
+def test_horizons_grow_up_to_most_of_the_longest_trial():
     def search_of(parameters, seconds, points):
         trial = SimpleNamespace(times=np.linspace(0, seconds, 9), s=np.zeros(points))
         string = SimpleNamespace(length=GRAVITY_M_S2 * 0.04)
@@ -276,7 +276,7 @@ class Mesh:
         ([np.inf], 11, [("fine", np.inf, 60)]),
     ],
 )
-def test_iterations_are_shared_by_the_horizons_before_the_last(
+def test_iterations_are_divided_among_horizons_before_the_last(
     monkeypatch, horizons_s, most, fitted
 ):
     ladder = [Mesh(name) for name in ("fine", "middle", "coarse")]
@@ -304,7 +304,7 @@ def test_iterations_are_shared_by_the_horizons_before_the_last(
     assert progress == pytest.approx([(k + 1) / count for k in range(count)])
 
 
-def test_known_parameters_are_fitted_to_the_whole_trials_alone(monkeypatch):
+def test_known_parameters_start_only_fits_to_whole_trials(monkeypatch):
     """The beginning of a trial would lead them astray."""
     monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
     monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: [Mesh("fine")])
@@ -344,7 +344,7 @@ class TwoSlopes:
         return residuals
 
 
-def test_a_start_far_behind_another_in_whole_trials_is_given_up(monkeypatch):
+def test_a_start_far_behind_the_best_is_dropped_in_whole_trials(monkeypatch):
     """The best is further from its end at first, and promises to come to it."""
     monkeypatch.setattr(
         search, "with_estimated_noise", lambda likelihood, chi: likelihood
@@ -386,7 +386,7 @@ def test_the_better_half_of_the_starts_goes_on_from_different_places():
         assert search._survivors(apart, np.array([4.0, 4.0])) == kept
 
 
-def test_refinement_ends_where_the_noise_falls_no_further(monkeypatch):
+def test_refinement_stops_if_the_noise_falls_no_further(monkeypatch):
     scales = iter([1.0, 0.9, 0.895, 0.5])
 
     def refine_states(likelihood, chi, span=np.inf):
@@ -399,7 +399,7 @@ def test_refinement_ends_where_the_noise_falls_no_further(monkeypatch):
     assert chi == 2
 
 
-def test_a_round_that_makes_it_worse_is_not_taken_but_for_the_first(monkeypatch):
+def test_a_round_that_raises_the_noise_is_rejected_except_the_first(monkeypatch):
     def refine(*noise):
         scales = iter(noise)
         monkeypatch.setattr(
@@ -415,7 +415,7 @@ def test_a_round_that_makes_it_worse_is_not_taken_but_for_the_first(monkeypatch)
     assert refine(1.0, 0.8, 0.9) == (0.8, 1)
 
 
-def test_slopes_of_the_initial_state_are_taken_inwards(monkeypatch):
+def test_slopes_of_the_initial_state_step_away_from_the_bounds(monkeypatch):
     start = np.array([0.4, 0.0, -0.3])
     shapes = np.arange(12.0).reshape(3, 4)
     asked = []
@@ -443,7 +443,7 @@ def film(frames, points, rng):
     )
 
 
-def test_noise_is_found_beside_smooth_motion():
+def test_noise_is_estimated_after_smooth_motion_is_removed():
     rng = np.random.default_rng(3)
     trial = film(200, 12, rng)
     noise = rng.standard_normal((2400, 2))
@@ -454,7 +454,7 @@ def test_noise_is_found_beside_smooth_motion():
     assert np.corrcoef(rest[:, 0], noise[:, 0])[0, 1] > 0.9
 
 
-def test_nothing_is_removed_where_splines_follow_every_point():
+def test_nothing_is_removed_if_splines_fit_every_point():
     rng = np.random.default_rng(3)
     trial = film(20, 2, rng)
     residual = rng.standard_normal((40, 2))
@@ -479,7 +479,7 @@ def test_shapes_of_the_nuisance_are_added_and_replaced_in_order():
 
 
 @pytest.mark.parametrize(("sigma", "least"), [(None, 9e-5), (2e-3, 2e-3), (1e-6, 9e-5)])
-def test_no_place_is_known_better_than_stated(sigma, least):
+def test_the_noise_of_a_place_is_at_least_the_stated_one(sigma, least):
     times = 0.01 * np.arange(8)
     places = np.array([0.1, 0.2, 0.3])
     frame, s = np.repeat(np.arange(8), 3), np.tile(places, 8)
@@ -492,7 +492,7 @@ def test_no_place_is_known_better_than_stated(sigma, least):
 
 
 @pytest.mark.parametrize(("lost", "seen"), [(1, [0.1, 0.2, 0.3]), (2, [0.1, 0.3])])
-def test_a_place_is_followed_in_three_of_the_first_four_frames(lost, seen):
+def test_a_place_is_used_if_seen_in_three_of_the_first_four_frames(lost, seen):
     times = 0.01 * np.arange(8)
     frame, s = np.repeat(np.arange(8), 3), np.tile([0.1, 0.2, 0.3], 8)
     points = np.column_stack([s, 0.5 * s])
@@ -504,7 +504,7 @@ def test_a_place_is_followed_in_three_of_the_first_four_frames(lost, seen):
     assert found.velocity == pytest.approx(np.zeros((len(seen), 2)), abs=1e-9)
 
 
-def test_the_noise_of_the_first_frames_is_how_far_places_leave_parabolas():
+def test_the_noise_of_the_first_frames_is_the_residual_of_parabolas():
     rng = np.random.default_rng(3)
     times = 0.01 * np.arange(8)
     places = np.linspace(0.01, 0.3, 60)
@@ -539,7 +539,7 @@ def test_only_directions_that_points_determine_are_in_a_basis():
         assert len(find_noise_basis(trial).whiten) == len(white)
 
 
-def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
+def test_the_last_amplitude_is_the_memory_reversal(monkeypatch):
     count = 2 * initial_modes.INITIAL_MODES
     modes = np.arange(1.0, count + 1)
     trial = SimpleNamespace(
@@ -557,7 +557,7 @@ def test_what_lets_a_string_back_is_the_last_amplitude(monkeypatch):
         assert initial_modes.initial_amplitudes(trial) == pytest.approx(expected)
 
 
-def test_residuals_of_trials_stand_side_by_side():
+def test_whitened_residuals_of_trials_are_concatenated():
     doubled = SimpleNamespace(whiten=lambda residual, scale: scale * residual)
     data = TrialData(tuple(SimpleNamespace(error_model=doubled) for _ in range(2)))
     residuals = [np.array([[1.0, 2.0]]), np.array([[3.0, 4.0, 5.0]])]
@@ -577,7 +577,7 @@ def test_a_cause_is_added_at_the_end_and_removed_by_itself():
     assert both.without_cause(TipMass).causes == (Wind,)
 
 
-def test_splines_leave_some_frames_to_the_noise():
+def test_the_knot_spacing_leaves_degrees_of_freedom_for_noise():
     assert basis.knot_spacing(np.arange(5) * 0.01) == pytest.approx(0.02)
     assert basis.knot_spacing(np.arange(5) * 0.001) == pytest.approx(0.015)
     assert basis.knot_spacing(np.array([3.0])) == pytest.approx(0.015)
@@ -589,7 +589,7 @@ def test_splines_leave_some_frames_to_the_noise():
     assert basis.highest_frequency(np.array([0.0, 0.15])) == pytest.approx(1 / 0.03)
 
 
-def test_tips_of_trials_are_averaged_by_their_squares():
+def test_the_overall_tip_rms_averages_squares_over_trials():
     def trial(size):
         return SimpleNamespace(
             is_tip=np.array([False, True]),

@@ -46,14 +46,14 @@ def reaches(bend, indices=(0, 1)):
     return METRES_PER_EXPONENT * found
 
 
-def test_a_straight_valley_has_the_intervals_of_a_normal_posterior():
+def test_intervals_of_a_straight_valley_are_those_of_a_normal_posterior():
     """In a straight valley the profile is that of a normal posterior."""
     deviations = np.array([ALONG, np.hypot(ALONG, ACROSS)])
     expected = HALF_WIDTH * np.stack([deviations, deviations], axis=1)
     assert reaches(0.0) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_bent_valley_reaches_to_where_its_likelihood_has_fallen():
+def test_intervals_of_a_curved_valley_end_where_the_likelihood_has_fallen():
     """The profile of y goes along the valley to x = 2 standard deviations."""
     bend = 2.0
     end = HALF_WIDTH * ALONG
@@ -62,7 +62,7 @@ def test_a_bent_valley_reaches_to_where_its_likelihood_has_fallen():
     assert below == pytest.approx(end, rel=1e-3)  # never nearer than the normal one
 
 
-def test_an_interval_ends_with_its_range():
+def test_an_interval_ends_at_the_end_of_its_range():
     """An exponent that nothing determines reaches beyond its range."""
 
     class Flat(Valley):

@@ -66,7 +66,7 @@ def observed(model, values, side, lean, places):
 
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
-def test_a_trial_begins_on_the_side_that_its_first_frames_show(model, where, lean):
+def test_a_trial_at_rest_is_on_the_side_of_its_first_frames(model, where, lean):
     """A trial begins on the side that its first frames show.
 
     This holds alone, or together with one that begins on the other side.

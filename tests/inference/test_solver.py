@@ -66,7 +66,7 @@ class Torn(Decay):
         return np.where(torn[:, None], DIVERGED_RESIDUAL, super().residuals(chi))
 
 
-def test_the_bottom_of_a_bent_valley_is_reached_from_all_over():
+def test_the_minimum_of_a_curved_valley_is_reached_from_all_starts():
     """The bottom of a bent valley is reached from any start.
 
     SciPy's trust region, straight in exponents, has not reached it after as many
@@ -118,7 +118,7 @@ def test_the_minimum_within_bounds_is_scipys(limit):
     )
 
 
-def test_each_run_goes_its_own_way_whoever_runs_beside():
+def test_runs_do_not_depend_on_other_runs():
     starts = np.random.default_rng(2).uniform(0, 1, (5, 2))
     together = fit_least_squares(Decay(), starts, 12).chi
     alone = np.concatenate(
@@ -127,7 +127,7 @@ def test_each_run_goes_its_own_way_whoever_runs_beside():
     np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
-def test_an_iteration_is_a_few_batches_and_runs_that_are_done_cost_nothing():
+def test_an_iteration_takes_few_batches_and_finished_runs_cost_nothing():
     """Eight runs of two parameters take their residuals, then 8 x 2 differences.
 
     Then they take 8 x 2 steps of least damping, and the 8 x 6 others from where these
@@ -149,7 +149,7 @@ def test_an_iteration_is_a_few_batches_and_runs_that_are_done_cost_nothing():
     assert max(problem.asked[2:]) <= 6
 
 
-def test_of_starts_in_the_same_place_the_best_one_is_kept():
+def test_the_best_start_in_each_place_is_kept():
     worse, best, far = [0.699, 0.5], [0.7, 0.5], [0.1, 0.5]
     starts = np.array([far, worse, best])
     losses = huber_loss(Decay().residuals(starts), np.inf)
@@ -161,7 +161,7 @@ def test_of_starts_in_the_same_place_the_best_one_is_kept():
     assert not problem.asked
 
 
-def test_a_run_at_its_optimum_costs_its_differences_only():
+def test_a_run_at_its_optimum_costs_only_its_finite_differences():
     noise = np.random.default_rng(3).standard_normal(len(TIMES))
     problem = Decay(noise=noise)
     optimum = fit_least_squares(problem, np.full((1, 2), 0.5)).chi
@@ -171,7 +171,7 @@ def test_a_run_at_its_optimum_costs_its_differences_only():
     assert again.chi.tolist() == optimum.tolist()
 
 
-def test_a_step_into_what_cannot_be_simulated_is_not_taken_and_a_slope_across_its_edge_is_none():
+def test_steps_to_diverged_simulations_are_rejected_and_their_slopes_are_zero():
     edge = RATES[0].chi(5.0)
     chi = np.array([[edge - 1e-5, 0.5]])
     residual = Torn().residuals(chi)
@@ -189,13 +189,13 @@ class Blind(Decay):
         return Decay().residuals(chi[:, :2])
 
 
-def test_a_direction_without_curvature_stays_put():
+def test_a_direction_without_curvature_does_not_move():
     found = fit_least_squares(Blind(LEVEL), np.array([[0.4, 0.6, 0.37]]), 40)
     assert found.loss[0] < 1e-3
     assert found.chi[0, 2] == pytest.approx(0.37, abs=1e-9)
 
 
-def test_the_least_of_a_quadratic_in_a_box():
+def test_the_minimum_of_a_quadratic_in_a_box_is_that_of_a_grid():
     """The minimum of a quadratic in a box is that of a fine grid.
 
     A parameter that would pass a side stays on it, and the other is optimal there.
@@ -233,7 +233,7 @@ class NarrowBowl:
         return 1.0 + (1e5 * (chi - 0.50003)) ** 2
 
 
-def test_a_run_that_no_step_improves_looks_at_narrower_slopes():
+def test_a_run_without_an_improving_step_narrows_its_differences():
     """Over 1e-4 the slope is upwards, to the left of the minimum."""
     start = np.array([[0.5]])
     wide = NarrowBowl().residuals(start + 1e-4) - NarrowBowl().residuals(start)
@@ -254,7 +254,7 @@ class Pit(Decay):
         return smooth + 0.01 * is_outside * np.sign(smooth)
 
 
-def test_a_run_ends_where_no_step_gains_and_slopes_promise_little():
+def test_a_run_stops_if_no_step_gains_and_the_predicted_gain_is_small():
     """Slopes about a pit promise 11 of the log-likelihood, and no step gains it."""
     noise = np.random.default_rng(3).standard_normal(len(TIMES))
     optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi
@@ -269,7 +269,7 @@ def test_a_run_ends_where_no_step_gains_and_slopes_promise_little():
     assert len(eager.asked) > 8
 
 
-def test_what_is_held_stays_where_it_starts():
+def test_held_exponents_do_not_move():
     """Held parameters stay exactly, and the others make up for them."""
     problem = Decay()
     start = np.array([[0.6, 0.3], [0.7, 0.5]])

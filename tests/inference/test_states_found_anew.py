@@ -56,7 +56,7 @@ def begun(trial, *off):
     )
 
 
-def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, true):
+def test_a_wrong_initial_state_is_corrected_from_the_motion(trial, hypothesis, true):
     """A distant initial state is found from the string's motion.
 
     Modes about the distant state cannot explain the motion. About the state that is
@@ -83,7 +83,7 @@ def test_a_state_far_off_is_found_from_how_the_string_moves(trial, hypothesis, t
     )
 
 
-def test_what_begins_at_rest_stays_as_it_is(trial, hypothesis, true):
+def test_a_trial_at_rest_is_unchanged(trial, hypothesis, true):
     data = attach_discrepancy_model(
         [replace(trial, initial_state=None)], hypothesis, true
     )

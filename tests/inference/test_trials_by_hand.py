@@ -85,7 +85,7 @@ def test_a_trial_is_cut_after_frames_with_its_error_model():
     ]
 
 
-def test_residuals_are_simulated_less_measured_over_sigma():
+def test_residuals_are_simulated_minus_measured_over_sigma():
     trial = lying_trial()
     simulated = trial.points + np.array([1.0, 2.0])[:, None, None]
     found = trial.normalised_residuals(simulated)
@@ -160,7 +160,7 @@ def observe(theta, swing=0.0, noise=1e-3, **more):
     )
 
 
-def test_points_are_sorted_and_those_without_a_place_are_left_out(model):
+def test_points_are_sorted_and_non_finite_ones_are_left_out(model):
     trial = prepare_trial(model, observe(-np.pi / 2))
     assert len(trial.points) == 98
     assert trial.times == pytest.approx(T)
@@ -179,7 +179,7 @@ def test_points_are_sorted_and_those_without_a_place_are_left_out(model):
         prepare_trial(model, nowhere)
 
 
-def test_a_string_turns_from_a_hand_that_points_up_only(model):
+def test_only_a_hand_that_points_up_has_a_turn(model):
     for side in (1, -1):
         up = prepare_trial(model, observe(np.pi / 2, side * 2.0))
         assert up.initial_state is None
@@ -196,7 +196,7 @@ def test_a_string_turns_from_a_hand_that_points_up_only(model):
     assert prepare_trial(model, hidden).turn == 0.0
 
 
-def test_a_start_is_kept_until_what_decides_it_changes(model):
+def test_an_initial_state_is_cached_until_its_inputs_change(model):
     def start(noise=1e-3, length=LENGTH, **changes):
         observed = observe(-np.pi / 2, 1.0, noise, starts_moving=True)
         for name, by in changes.items():
@@ -213,7 +213,7 @@ def test_a_start_is_kept_until_what_decides_it_changes(model):
     assert len({id(each) for each in (first, *others)}) == 8
 
 
-def test_a_motion_is_that_of_joints_or_else_of_the_grasp():
+def test_the_motion_is_that_of_joints_if_given_else_of_the_grasp():
     grasp = pd.DataFrame({"t": T, "x": T, "y": 2 * T, "theta": 3 * T})
     found = prepared_trial.observed_motion(
         SimpleNamespace(arm=None, grasp=grasp, trial="r")
@@ -255,7 +255,7 @@ def state_at(t, candidates=None):
 @pytest.mark.parametrize(
     "names", [(), ("time_offset",), ("rolling_shutter", "time_offset", "arm_lag")]
 )
-def test_trials_in_one_batch_are_as_alone(model, names, monkeypatch):
+def test_trials_in_a_batch_are_simulated_as_alone(model, names, monkeypatch):
     """Hands and films of other lengths, at rest and in motion, from other clocks."""
     lagging = model.with_effects(*find_effects(list(names)))
     chi = np.random.default_rng(0).uniform(0.3, 0.6, (3, len(lagging.parameters)))
@@ -283,7 +283,7 @@ def test_trials_in_one_batch_are_as_alone(model, names, monkeypatch):
         np.testing.assert_allclose(points, alone.points, atol=1e-12)
 
 
-def test_residuals_of_many_candidates_are_those_of_chunks(monkeypatch):
+def test_residuals_do_not_depend_on_chunks(monkeypatch):
     monkeypatch.setattr(batch, "MAX_BATCH_S", 100.0)
     asked = []
 
@@ -305,7 +305,7 @@ def test_residuals_of_many_candidates_are_those_of_chunks(monkeypatch):
     assert asked == [20, 20, 5]  # of 5 s each, in 100 s
 
 
-def test_a_mesh_correction_is_linear_at_its_centre_and_levels_off_smoothly():
+def test_a_mesh_correction_is_linear_at_its_centre_and_saturates():
     slopes = (np.array([[1.0, 2.0], [10.0, 20.0]]), np.array([[3.0], [30.0]]))
     correction = MeshCorrection(("a", "b"), np.array([0.5, 0.2]), slopes)
     chi = np.array([[9.0, 0.2003, 0.4999], [9.0, 0.9, 0.1]])
@@ -457,7 +457,7 @@ def test_each_trial_has_the_noise_of_its_own_residual(monkeypatch):
     assert all(trial.error_model.nuisance is None for trial in at_rest.data.trials)
 
 
-def test_states_are_refined_over_a_span_and_outliers_then_count_less(monkeypatch):
+def test_states_are_refined_over_a_span_and_the_loss_is_then_robust(monkeypatch):
     asked = []
 
     def refine(trial, values, span):
@@ -477,7 +477,9 @@ def test_states_are_refined_over_a_span_and_outliers_then_count_less(monkeypatch
     assert asked == [([0.6], np.inf)] * 2
 
 
-def test_survivors_of_a_horizon_are_those_of_the_noise_of_the_best_start(monkeypatch):
+def test_survivors_of_a_horizon_are_chosen_with_the_noise_of_the_best_start(
+    monkeypatch,
+):
     monkeypatch.setattr(search, "with_estimated_noise", lambda *given: given)
     chi = np.array([[3.0], [4.0], [5.0]])
     runs = SimpleNamespace(chi=chi, residual="residual", loss="loss")
@@ -502,7 +504,7 @@ def test_misfit_is_the_mean_square_of_residuals_of_each_candidate():
     assert search._mean_square(likelihood, None) == pytest.approx([5.0, 8.0])
 
 
-def test_exponents_are_refined_by_gains_that_still_add_up(monkeypatch):
+def test_exponents_are_refined_with_a_small_minimum_gain(monkeypatch):
     asked = []
 
     def fit(likelihood, starts, max_iterations, min_gain):
@@ -515,7 +517,7 @@ def test_exponents_are_refined_by_gains_that_still_add_up(monkeypatch):
     assert asked == [("likelihood", [[0.1, 0.2]], 7, 0.005)]
 
 
-def test_refinement_takes_ten_rounds_at_most(monkeypatch):
+def test_refinement_takes_at_most_ten_rounds(monkeypatch):
     spans = []
 
     def refine(likelihood, chi, span=np.inf):

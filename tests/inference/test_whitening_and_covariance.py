@@ -27,7 +27,7 @@ def test_whitened_noise_is_white():
     np.testing.assert_allclose(whiten, whiten.T, atol=1e-12)
 
 
-def test_without_columns_nothing_is_taken():
+def test_without_columns_residuals_are_unchanged():
     residual = np.arange(6.0)[None]
     np.testing.assert_array_equal(
         LowRankWhitening.from_columns(np.empty((6, 0)))(residual), residual
@@ -35,7 +35,7 @@ def test_without_columns_nothing_is_taken():
 
 
 @pytest.mark.parametrize("blocks", [60, 12])
-def test_intervals_hold_where_neighbours_share_their_noise(blocks):
+def test_intervals_contain_the_truth_if_noise_is_correlated(blocks):
     """Intervals hold where neighbours share their noise.
 
     Four parameters are estimated from 600 numbers, half of whose noise is that of their
@@ -62,7 +62,7 @@ def test_intervals_hold_where_neighbours_share_their_noise(blocks):
 
 
 @pytest.mark.parametrize("copies", [1, 4, 20])
-def test_copies_of_a_residual_widen_the_variance_by_their_number(copies):
+def test_copies_of_a_residual_multiply_the_variance_by_their_number(copies):
     """Every residual is there so many times, with its noise and its slopes."""
     rng = np.random.default_rng(0)
     number = np.repeat(np.arange(1200), copies)
@@ -76,7 +76,7 @@ def test_copies_of_a_residual_widen_the_variance_by_their_number(copies):
     assert variance_inflation(linear) == pytest.approx(copies, rel=0.15)
 
 
-def test_what_no_data_touches_is_as_wide_as_its_range():
+def test_an_undetermined_parameter_has_an_interval_as_wide_as_its_range():
     slope = np.array([[100.0] * 50, [0.0] * 50])
     residual = np.random.default_rng(1).standard_normal(50)
     sure = jackknife_covariance(slope, residual, np.ones(50), np.arange(50))
@@ -85,7 +85,7 @@ def test_what_no_data_touches_is_as_wide_as_its_range():
     assert sure.correlation[0, 1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_outliers_that_count_less_widen_nothing():
+def test_downweighted_outliers_do_not_widen_intervals():
     """Outliers of small weight do not widen the interval.
 
     A slope is fitted through noise with one number ten times as far off as any.

@@ -168,7 +168,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "importing/test_import.py::test_robot_and_tracker_logs_become_a_dataset",
     "pipeline import data/tutorial/robot_*.csv data/tutorial/tracker_*.csv --to mine --length 282mm "
     "--links 0.25,0.20,0.135 --base 0.2,0.2": "tests/importing/test_import.py::test_import_of_the_tutorial_prints_what_its_page_shows",
-    "pipeline check mine --report check.html": "tests/checking/test_check.py::test_a_page_shows_what_was_measured_and_found",
+    "pipeline check mine --report check.html": "tests/checking/test_check.py::test_a_page_shows_measurements_and_findings",
     "pipeline new stage sway": "tests/pipeline/test_new_stage.py::test_a_new_stage_is_a_folder_and_a_group_of_settings",
     "pipeline check mine": TEN_MINUTES,
     "pipeline check wrong": TEN_MINUTES,
