@@ -38,11 +38,11 @@ LENS_ROWS = (
 )
 PLANE_ROWS = (
     ("px_per_m", "px/m", "scale where the axis meets the plane of motion"),
-    ("origin_px[0]", "px", "the world's origin, to the right"),
-    ("origin_px[1]", "px", "the world's origin, down"),
-    ("rotation", "rad", "by which the world is seen turned, counter-clockwise"),
-    ("tilt[0]", "rad", "of the plane about the camera's x"),
-    ("tilt[1]", "rad", "of the plane about the camera's y"),
+    ("origin_px[0]", "px", "pixel of the world's origin, to the right"),
+    ("origin_px[1]", "px", "pixel of the world's origin, down"),
+    ("rotation", "rad", "counter-clockwise rotation of the world in the picture"),
+    ("tilt[0]", "rad", "tilt of the plane about the camera's x"),
+    ("tilt[1]", "rad", "tilt of the plane about the camera's y"),
 )
 
 

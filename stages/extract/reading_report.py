@@ -6,19 +6,19 @@ import numpy as np
 import pandas as pd
 
 MIN_READ_SHARE = 0.5  # of the frames; below it the outcome of a cast is uncertain
-ARM_IS_ELSEWHERE = (
-    "the arm may not be where its joints say: measure it with +experiment=align"
+MEASURE_ALIGNMENT = (
+    "the reported joints may be wrong: measure them with +experiment=align"
 )
 REMEDIES = {
     "no string in view": "check light, contrast and camera.origin_px",
-    "no string at the grasp": ARM_IS_ELSEWHERE,
-    "the grasp is out of view": "see that the camera shows all that the arm reaches",
+    "no string at the grasp": MEASURE_ALIGNMENT,
+    "the grasp is out of view": "make sure that the camera shows all of the arm's reach",
     "the line is shorter than the string": "check string.length and camera.px_per_m",
-    "the line is longer than the string": ARM_IS_ELSEWHERE,
-    "the string leaves the picture": "see that the camera shows the whole string",
+    "the line is longer than the string": MEASURE_ALIGNMENT,
+    "the string leaves the picture": "make sure that the camera shows the whole string",
     "the string is interrupted": "use more light or a shorter exposure",
     "the string lies on itself, or on something like it": "choose a gentler motion",
-    "something like a string hangs together with the string": ARM_IS_ELSEWHERE,
+    "something like a string hangs together with the string": MEASURE_ALIGNMENT,
 }
 
 
@@ -63,10 +63,10 @@ def describe_arm_misfit(readings: pd.DataFrame) -> str:
     shift_mm = 1e3 * readings["hand_shift"].max()
     error_deg = np.degrees(readings["joint_error"].max())
     return (
-        f"The arm is not where its joints say: the hand is up to {shift_mm:.0f} mm "
-        f"off, as if a joint were off by {error_deg:.1f} degrees. The string was read "
-        "from where the arm is seen. The gain of the joints, the camera or its clock "
-        "may be the cause. Remedy: measure them with +experiment=align."
+        f"The arm differs from its reported joints: the hand is up to {shift_mm:.0f} "
+        f"mm off, as if a joint were off by {error_deg:.1f} degrees. The string was "
+        "read from the arm in the picture. The gain of the joints, the camera or its "
+        "clock may be the cause. Remedy: measure them with +experiment=align."
     )
 
 

@@ -72,15 +72,15 @@ def _slab_crossing(
     There is one slab for each coordinate. a, b: (..., 2) [m]. A line that misses a slab
     enters at +inf and leaves at -inf.
     """
-    way = b - a
+    displacement = b - a
     with np.errstate(divide="ignore", invalid="ignore"):
-        first = (centre - half - a) / way
-        second = (centre + half - a) / way
+        first = (centre - half - a) / displacement
+        second = (centre + half - a) / displacement
     enter = np.minimum(first, second)
     leave = np.maximum(first, second)
-    still = way == 0
-    if still.any():
+    is_parallel = displacement == 0
+    if is_parallel.any():
         outside = np.where(np.abs(a - centre) > half, np.inf, -np.inf)
-        enter = np.where(still, outside, enter)
-        leave = np.where(still, -outside, leave)
+        enter = np.where(is_parallel, outside, enter)
+        leave = np.where(is_parallel, -outside, leave)
     return enter, leave

@@ -234,9 +234,9 @@ class ClockEffect(Effect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Draw the difference of the clocks over time."""
         t = np.linspace(0.0, 1.0, 2)
-        gained = cls.times(t, **values) - t
+        difference = cls.times(t, **values) - t
         labels = "camera's clock / s", "arm's clock less that / s"
-        draw_line(axes, t, gained, *labels)
+        draw_line(axes, t, difference, *labels)
 
 
 class CameraEffect(Effect):

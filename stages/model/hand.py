@@ -199,8 +199,10 @@ class JointMotion:
     ) -> HandMotion:
         """Apply effects on the joints, then those on the grasp."""
         hand = self.actual_joint_motion(effects).hand_motion(arm)
-        later = [values for values in effects if "joints" not in values[0].laws()]
-        return hand.actual_hand_motion(arm, later)
+        grasp_effects = [
+            values for values in effects if "joints" not in values[0].laws()
+        ]
+        return hand.actual_hand_motion(arm, grasp_effects)
 
 
 def resample_joint_motion(

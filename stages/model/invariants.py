@@ -115,7 +115,7 @@ def reduces_to(law: str, name: str, *others: str) -> Invariant:
     """Declare that the value equals one argument if the others are zero."""
     return Equivariant(
         law,
-        f"{law} is {name} where {', '.join(others)} are zero",
+        f"{law} equals {name} if {', '.join(others)} are zero",
         lambda arguments: _scale_arguments(arguments, others, 0),
         lambda value, arguments: arguments[name],
     )
@@ -136,7 +136,7 @@ def rotates_with(law: str, *vectors: str) -> Invariant:
 
     return Equivariant(
         law,
-        f"{law} knows no direction",
+        f"{law} rotates with its vectors",
         move_arguments,
         lambda value, arguments: np.stack(_rotate(*value)),
     )
@@ -159,7 +159,7 @@ def shifts_with(law: str, name: str) -> Invariant:
     """Declare that the value shifts with this argument."""
     return Equivariant(
         law,
-        f"{law} follows {name}",
+        f"{law} shifts with {name}",
         lambda arguments: {name: arguments[name] + TEST_SHIFT},
         lambda value, arguments: value + TEST_SHIFT,
     )
@@ -169,7 +169,7 @@ def moves_with_pose(law: str, name: str) -> Invariant:
     """Declare that the value moves with poses (..., 3)."""
     return Equivariant(
         law,
-        f"{law} is carried with {name}",
+        f"{law} moves with {name}",
         lambda arguments: {name: _move_pose(arguments[name])},
         lambda value, arguments: _move_pose(value),
     )
@@ -192,7 +192,7 @@ def rotates_about_centre(law: str) -> Invariant:
 
     return Equivariant(
         law,
-        f"{law} knows no direction",
+        f"{law} rotates about the image centre",
         move_arguments,
         lambda value, arguments: rotate_about(value, arguments["camera"].centre),
     )

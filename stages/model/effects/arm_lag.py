@@ -57,11 +57,11 @@ class ArmLag(HandEffect):
             for u in (t[:-1], t[1:])
         )
         decay = np.exp(-np.diff(t)[:, None] / np.maximum(time_constant, 1e-12))
-        behind = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
-        gained = at_end - decay * at_start
+        lag = np.zeros(np.broadcast_shapes(angles.shape, np.shape(time_constant)))
+        change = at_end - decay * at_start
         for k in range(len(t) - 1):
-            behind[:, k + 1] = decay[..., k, :] * behind[:, k] + gained[:, k]
-        return angles - behind
+            lag[:, k + 1] = decay[..., k, :] * lag[:, k] + change[:, k]
+        return angles - lag
 
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, time_constant: Quantity) -> np.ndarray:

@@ -114,8 +114,10 @@ class BoxContact(StringEffect):
             * over
             * np.maximum(1.0 - loss * (out_x * vx + out_y * vy), 0.0)
         )
-        slide = out_y * vx - out_x * vy
-        rub = friction * push
-        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s], as in `contact`
-        rub = rub * slide / np.sqrt(slide * slide + slow * slow)
-        return push * out_x - rub * out_y, push * out_y + rub * out_x
+        sliding = out_y * vx - out_x * vy
+        limit = friction * push
+        smoothing = np.maximum(2.0 * limit * dt, 0.1)  # [m/s], as in `contact`
+        tangential = (
+            limit * sliding / np.sqrt(sliding * sliding + smoothing * smoothing)
+        )
+        return push * out_x - tangential * out_y, push * out_y + tangential * out_x

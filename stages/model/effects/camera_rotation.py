@@ -32,10 +32,10 @@ class CameraRotation(CameraEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        way = "counter-clockwise" if values["angle"] > 0 else "clockwise"
+        sense = "counter-clockwise" if values["angle"] > 0 else "clockwise"
         return (
             f"the camera is rolled: reported points are turned "
-            f"{np.degrees(abs(values['angle'])):.2f} degrees {way}"
+            f"{np.degrees(abs(values['angle'])):.2f} degrees {sense}"
         )
 
     @staticmethod

@@ -45,12 +45,12 @@ class Clamp(StringEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        way = "before" if values["hidden"] > 0 else "beyond"
+        side = "before" if values["hidden"] > 0 else "beyond"
         hidden, along, across = (
             1e3 * values[name] for name in ("hidden", "along", "across")
         )
         return (
-            f"the free string begins {abs(hidden):.1f} mm {way} the stated grasp, "
+            f"the free string begins {abs(hidden):.1f} mm {side} the stated grasp, "
             f"moved by {along:+.1f} mm along and {across:+.1f} mm across its direction"
         )
 

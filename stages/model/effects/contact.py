@@ -140,8 +140,13 @@ class Contact(StringEffect):
             * depth
             * np.maximum(1.0 - loss * (normal_x * vx + normal_y * vy), 0.0)
         )
-        slide = normal_y * vx - normal_x * vy
-        rub = friction * push
-        slow = np.maximum(2.0 * rub * dt, 0.1)  # [m/s]
-        rub = rub * slide / np.sqrt(slide * slide + slow * slow)
-        return push * normal_x - rub * normal_y, push * normal_y + rub * normal_x
+        sliding = normal_y * vx - normal_x * vy
+        limit = friction * push
+        smoothing = np.maximum(2.0 * limit * dt, 0.1)  # [m/s]
+        tangential = (
+            limit * sliding / np.sqrt(sliding * sliding + smoothing * smoothing)
+        )
+        return (
+            push * normal_x - tangential * normal_y,
+            push * normal_y + tangential * normal_x,
+        )

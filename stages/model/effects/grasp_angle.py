@@ -43,11 +43,11 @@ class GraspAngle(HandEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Draw the last link and the beginning of the string."""
         axes.plot([-1.0, 0.0], [0.0, 0.0], linestyle="--")
-        way = np.linspace(0.0, 1.0, 2)
+        distance = np.linspace(0.0, 1.0, 2)
         draw_line(
             axes,
-            way * np.cos(values["angle"]),
-            way * np.sin(values["angle"]),
+            distance * np.cos(values["angle"]),
+            distance * np.sin(values["angle"]),
             "along the last link",
             "across",
         )
@@ -55,5 +55,5 @@ class GraspAngle(HandEffect):
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:
         """Return the poses with the direction turned."""
-        grasped: np.ndarray = pose + angle * np.array([0.0, 0.0, 1.0])
-        return grasped
+        turned_pose: np.ndarray = pose + angle * np.array([0.0, 0.0, 1.0])
+        return turned_pose

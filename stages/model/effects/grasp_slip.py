@@ -34,10 +34,10 @@ class GraspSlip(HandEffect):
 
     @staticmethod
     def describe(values: Values) -> str:
-        way = "out of" if values["speed"] > 0 else "into"
+        direction = "out of" if values["speed"] > 0 else "into"
         speed, until = 1e3 * abs(values["speed"]), values["onset"] + values["duration"]
         return (
-            f"the string slides {way} the gripper at {speed:.1f} mm/s from "
+            f"the string slides {direction} the gripper at {speed:.1f} mm/s from "
             f"{values['onset']:.2f} to {until:.2f} s"
         )
 
@@ -62,13 +62,14 @@ class GraspSlip(HandEffect):
 
         The speed rises and falls as a logistic function; the distance is its integral.
         """
-        rise, since = 0.005, t[:, None] - onset  # [s]
-        begun, ended = (
-            np.logaddexp(0.0, elapsed / rise) for elapsed in (since, since - duration)
+        rise, since_onset = 0.005, t[:, None] - onset  # [s]
+        rising, falling = (
+            np.logaddexp(0.0, elapsed / rise)
+            for elapsed in (since_onset, since_onset - duration)
         )
-        distance = speed * rise * (begun - ended)
+        distance = speed * rise * (rising - falling)
         theta = pose[..., 2:]
-        grasped: np.ndarray = pose + distance * np.concatenate(
+        moved_pose: np.ndarray = pose + distance * np.concatenate(
             [np.cos(theta), np.sin(theta), 0 * theta], axis=-1
         )
-        return grasped
+        return moved_pose

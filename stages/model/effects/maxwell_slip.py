@@ -59,8 +59,8 @@ class MaxwellSlip(StringEffect):
     @staticmethod
     def hinge_memory(memory: Quantity, change: Quantity, slip: Quantity) -> Quantity:
         # Not np.clip: it tests for NaN, which costs the loop a tenth.
-        wanted = memory + change
-        return 0.5 * (abs(wanted + slip) - abs(wanted - slip))
+        unclipped = memory + change
+        return 0.5 * (abs(unclipped + slip) - abs(unclipped - slip))
 
     @staticmethod
     def hinge_memory_moment(memory: Quantity, sticking: Quantity) -> Quantity:

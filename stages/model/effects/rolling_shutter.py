@@ -59,8 +59,10 @@ class RollingShutter(CameraEffect):
     def plot(cls, axes: Axes, values: Values) -> None:
         """Draw the time at which each row is exposed."""
         row = np.linspace(0.0, 1.0, 2)
-        late = values["readout"] * (row - values["stamped"])
-        draw_line(axes, row, late, "row / height", "exposed after the frame's time [s]")
+        delay = values["readout"] * (row - values["stamped"])
+        draw_line(
+            axes, row, delay, "row / height", "exposed after the frame's time [s]"
+        )
 
     @staticmethod
     def observe(

@@ -48,8 +48,8 @@ class StandardLinearSolid(StringEffect):
     def hinge_memory(
         memory: Quantity, change: Quantity, dt: Quantity, relaxation: Quantity
     ) -> Quantity:
-        lost = 1.0 / (relaxation / dt + 0.5)  # by the trapezoidal rule
-        return memory * (1.0 - lost) + change * (1.0 - 0.5 * lost)
+        decay = 1.0 / (relaxation / dt + 0.5)  # trapezoidal rule
+        return memory * (1.0 - decay) + change * (1.0 - 0.5 * decay)
 
     @staticmethod
     def hinge_memory_moment(memory: Quantity, stiffness: Quantity) -> Quantity:

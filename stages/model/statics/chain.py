@@ -250,8 +250,8 @@ def slot_sum_and_slope(
     (argument, _), _ = SAMPLED_ARGUMENTS[slot]
     step = 1e-3 if argument == "curvature" else 1e-5
     count = values.shape[1]
-    three = np.concatenate([values, values + step, values - step], axis=1)
-    arguments = {argument: three, "rate": ZERO}
+    samples = np.concatenate([values, values + step, values - step], axis=1)
+    arguments = {argument: samples, "rate": ZERO}
     for name, value in others.items():
         arguments[name] = np.tile(value, 3)
     total = slot_sum(string, material, slot, arguments)
