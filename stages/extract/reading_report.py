@@ -12,7 +12,7 @@ MEASURE_ALIGNMENT = (
 REMEDIES = {
     "no string in view": "check light, contrast and camera.origin_px",
     "no string at the grasp": MEASURE_ALIGNMENT,
-    "the grasp is out of view": "make sure that the camera shows all of the arm's reach",
+    "the grasp is out of view": "make sure that the camera shows the arm's whole reach",
     "the line is shorter than the string": "check string.length and camera.px_per_m",
     "the line is longer than the string": MEASURE_ALIGNMENT,
     "the string leaves the picture": "make sure that the camera shows the whole string",

@@ -18,9 +18,9 @@ the term it adds. Terms are per mass per length, so a law does not depend on the
 
 A law with memory has two methods. `hinge_memory` updates the memory of a hinge whose
 curvature changes by `change` within `dt`; `hinge_memory_moment` returns its moment.
-`grasp_memory` and `grasp_memory_moment` do so for the grasp and its angle. A string
-that hangs at rest has no memory, because decaying swings leave none. A string released
-elsewhere was pulled there slowly: its memory is `hinge_memory(memory=0,
+`grasp_memory` and `grasp_memory_moment` do so for the grasp and its angle. The memory
+of a string that hangs at rest is zero, because decaying swings leave none. A string
+released elsewhere was pulled there slowly: its memory is `hinge_memory(memory=0,
 change=curvature - curvature_at_rest, dt=inf)`.
 """
 

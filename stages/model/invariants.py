@@ -82,7 +82,7 @@ class Dissipative(Invariant):
     law: str
     rates: tuple[str, ...]
     sign: int
-    sentence: str = "never gives energy"
+    sentence: str = "dissipates energy"
 
     def error(self, law: EvaluatedLaw, arguments: LawArguments) -> float:
         """Return the largest power supplied, relative to the largest dissipated."""

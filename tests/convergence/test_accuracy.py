@@ -27,8 +27,8 @@ def test_power_law_errors_are_estimated_exactly():
         result = 7.0 + 3.0 * step**order
         left = remaining_error(result[0] - result[1], result[1] - result[2], 2)
         assert left == pytest.approx(3.0 * step[1] ** order, rel=1e-9)
-    # convergence faster than the method's order is not trusted; errors that do not
-    # shrink have no bound; equal results have no error
+    # Convergence faster than the method's order is not trusted. Errors that do not
+    # shrink have no bound. Equal results have no error.
     assert remaining_error(np.array(16.0), np.array(1.0), 2) == pytest.approx(4 / 3)
     assert remaining_error(np.array(1.0), np.array(1.0), 2) == np.inf
     assert remaining_error(np.array(np.inf), np.array(np.inf), 2) == np.inf
@@ -49,7 +49,7 @@ def fast_cast(arm):
 def test_the_error_of_the_tip_is_below_a_millimetre_only_on_the_fine_mesh(
     fast_cast,
 ):
-    """Over a plain cast the fine mesh is off by 0.2 mm rms, the paper's by 25 mm."""
+    """In a plain cast the rms error is 0.2 mm on the fine mesh, 25 mm on the paper's."""
     hand, _, values, times, exact = fast_cast
     fine, paper = (
         np.sqrt(

@@ -77,9 +77,9 @@ def test_second_order_in_the_number_of_points():
 
 
 def test_a_damped_clamped_string_converges_to_second_order():
-    """The half cell next to the clamp is damped as the rest of the string is.
+    """The half cell next to a clamp has the damping of the string.
 
-    This holds although a clamp that does not turn damps nothing.
+    A clamp that does not turn dissipates nothing.
     """
     settings = {
         "tip_cell": 0.5,

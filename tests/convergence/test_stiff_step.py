@@ -31,8 +31,8 @@ def test_all_corners_of_table_3_stay_finite(points):
     """All 256 corners, and as many strings within, stay finite.
 
     The explicit step rejects some as impractical at 60 points. Strings with k_s over
-    1e5 reach 1.30 lengths at most, as with small explicit steps. Softer ones that are
-    stiff in bending fold their segments flat, where Eq. 1 itself has no solution.
+    1e5 stretch to 1.30 lengths at most, as with small explicit steps. Softer strings
+    with stiff bending fold their segments, and Eq. 1 itself has no solution then.
     """
     string = implicit_string(points, 5e-4)
     low, high = np.array([[p.low, p.high] for p in string.parameters]).T
@@ -138,7 +138,7 @@ def test_the_constants_of_the_arc_tangent_equal_their_fit(numbers, limit):
 
 
 def test_undamped_stiff_modes_do_not_grow():
-    """The tip of an undamped stiff string that is pushed once does not speed up.
+    """The tip of an undamped stiff string does not accelerate after a single push.
 
     After 2 s it moves no faster than after 0.5 s.
     """
@@ -156,9 +156,9 @@ def test_undamped_stiff_modes_do_not_grow():
 
 
 def test_strong_damping_along_the_string_does_not_ring():
-    """A hand jerks the string up: its stretch then changes sign in no step.
+    """After a jerk of the hand, the stretch does not alternate from step to step.
 
-    Damping is ten times the strongest of Table 3. By the trapezoidal rule the second
+    Damping is ten times the largest of Table 3. With the trapezoidal rule, second
     differences stayed at 1e-3 of the length for 100 steps.
     """
     t = np.arange(0, 0.1, 0.001)

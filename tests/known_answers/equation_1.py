@@ -1,7 +1,6 @@
 """Eq. 1 by hand, for one candidate: a plain Numba loop, in the paper's own parameters.
 
-It shares no line with the engine. One pass a step goes along the string; what the next
-point needs of this one stays in registers.
+It shares no code with the engine. Each step is one pass along the string.
 """
 
 from __future__ import annotations

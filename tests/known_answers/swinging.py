@@ -1,4 +1,4 @@
-"""How fast a string swings, and its energy."""
+"""Frequency and energy of a swinging string."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def mechanical_energy(
 ) -> np.ndarray:
     """Return the energy over the mass of one point, (F,) [m2/s2].
 
-    It is kinetic, potential and elastic, but for the hinge at the grasp.
+    It is kinetic, potential and elastic, without the hinge at the grasp.
     """
     velocity = np.gradient(points, t, axis=0)[:, 1:]
     stretch = np.linalg.norm(np.diff(points, axis=1), axis=-1) - segment_length

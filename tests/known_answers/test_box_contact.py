@@ -68,10 +68,10 @@ def test_the_force_is_the_gradient_of_its_potential_and_points_outwards(inside):
 
 
 def test_the_step_bound_covers_the_stiffness_of_the_contact(inside):
-    """The step is bounded by the steepness of the push.
+    """The step bound covers the stiffness of the contact.
 
-    The largest eigenvalue of its slopes is the stiffness behind a side, and smaller
-    everywhere else.
+    The largest eigenvalue of its Jacobian is the stiffness near a side; elsewhere it is
+    smaller.
     """
     x, y = inside
     h = 1e-7
@@ -96,8 +96,8 @@ WAYS = {
 def test_a_bounce_off_a_side_conserves_energy(side):
     """A bounce off a side returns all of its energy.
 
-    It is mirrored but for the turn by the edge 20 mm away. At 1.5 mm depth, the
-    velocity along the side changes by 0.03 m/s.
+    The velocity is mirrored, except for the effect of the edge 20 mm away: at 1.5 mm
+    depth, the velocity along the side changes by 0.03 m/s.
     """
     start, mirror = WAYS[side]
     end = throw_point(start, 0.01, stiffness=1e6)
@@ -125,7 +125,7 @@ def test_the_rebound_with_loss_follows_hunt_and_crossley(side):
 
 
 def test_the_contact_force_never_pulls(inside):
-    """No push ever pulls, however fast a point leaves, and however lossy the box."""
+    """It does not pull at any speed of departure and any loss."""
     outwards = np.sign(inside - [[BOX["centre_x"]], [BOX["centre_y"]]])
     assert (contact_force(*inside, *(20 * outwards), loss=0.5) == 0).all()
     assert (contact_force(*inside, *(-20 * outwards), loss=0.5) * outwards >= 0).all()
@@ -150,8 +150,8 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
 
     Semi-implicit steps, as the engine's, move points that are aimed at an edge.
 
-    The push has no jump anywhere on their way. With the true distance for the depth the
-    error fell by 2.0 a halving, and was 5 times larger at 0.1 ms.
+    The force is continuous on their path. With the true distance as the depth, the
+    error fell only by 2.0 at each halving, and was 5 times larger at 0.1 ms.
     """
     rng = np.random.default_rng(0)
     beside = rng.uniform(-4e-3, 4e-3, 1000)
@@ -173,7 +173,7 @@ def test_steps_across_an_edge_keep_energy_to_second_order():
 def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
     """A mass dropped on top rests at the depth of its weight.
 
-    Its depth is g / k, to the share 2 (depth / half the width)^2 = 0.05 %.
+    The depth is g / k, to a relative error of 2 (depth / half the width)^2 = 0.05 %.
     """
     end = throw_point([0.3, -0.149, 0.0, 0.0], 6.0, gravity=9.81, loss=0.5)
     assert -0.15 - end[1] == pytest.approx(9.81 / STIFFNESS, rel=2e-3)
@@ -183,7 +183,7 @@ def test_a_mass_dropped_on_top_rests_at_the_depth_of_its_weight():
 def test_a_sliding_mass_decelerates_by_the_friction_coefficient():
     """A mass that slides on top is slowed by the friction coefficient.
 
-    dv/dt = -mu g, less 1 % at speeds well above that of its smooth beginning.
+    dv/dt = -mu g, to 1 % at speeds well above the smoothing speed.
     """
     start = [0.28, -0.15 - 9.81 / STIFFNESS, 0.8, 0.0]
     end = throw_point(start, 0.04, gravity=9.81, friction=0.4)
@@ -237,7 +237,7 @@ def swing_string(boxes, t, **how):
 def energy_with_contact(points, t, boxes, stiffness):
     """Return the energy over the mass of a point, (F,) [m^2/s^2].
 
-    It is that of speed, height, stretch, bending and depth.
+    It is kinetic, potential, elastic, and that of the contact.
     """
     energy = mechanical_energy(points, t, LENGTH / 9, LIMP)
     return energy + sum(
@@ -267,9 +267,9 @@ def test_a_string_between_two_boxes_stays_outside_and_gains_no_energy(free_strin
 
     Its middle is caught by one box, its tip bounces off the other.
 
-    Neither is deeper than speed over frequency. Without loss the energy holds to 1.1e-4
-    m^2/s^2 where the boxes store 0.2 and the swing has 10, velocities being differences
-    over 0.1 ms. With loss or friction it never rises again.
+    Points are no deeper than speed over frequency. Without loss the energy is conserved
+    to 1.1e-4 m^2/s^2; the boxes store 0.2, and the swing has 10. Velocities are
+    differences over 0.1 ms. With loss or friction the energy never rises.
     """
     stiffness, t = 1e5, SWING_TIMES
     boxes = [UPPER_BOX, LOWER_BOX]

@@ -1,4 +1,4 @@
-"""A string that begins elsewhere moves as one that is held where it begins."""
+"""A string with a moved beginning equals a string held at that beginning."""
 
 import numpy as np
 import pytest
@@ -123,7 +123,7 @@ def test_a_straight_string_passes_through_the_stated_grasp():
 
 
 def test_a_clamp_does_not_change_other_candidates():
-    """A candidate with a clamp changes no other candidate in the least.
+    """A candidate with a clamp does not change other candidates.
 
     Candidates that are simulated together begin at different places.
     """
@@ -162,8 +162,8 @@ def test_a_motion_continues_from_a_state_given_from_the_stated_grasp():
 
     The string is held firmly, and started from its state after 0.1 s.
 
-    Its tip is 0.29 mm off, and 64 mm without the hidden part. The shape of that part
-    follows from how the string leaves it and from the clamp: it is bent evenly.
+    The error of its tip is 0.29 mm, and 64 mm without the hidden part. That part has
+    constant curvature between the clamp and the state.
     """
     string = clamped(points=29)
     firm = {"grasp_stiffness": 500.0}

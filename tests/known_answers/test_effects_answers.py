@@ -1,6 +1,6 @@
 """Each effect against a known answer.
 
-All are in one model, with one of them present.
+All are in one model, in which one at a time is present.
 """
 
 from dataclasses import replace
@@ -226,8 +226,8 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
 def test_softening_bending_moments_never_decrease(hardening):
     """Bending moments never fall, however soft the string becomes.
 
-    Softening comes near to stiffness / (2 sqrt(-hardening)). The string yields, and
-    buckles nowhere.
+    A softening moment approaches stiffness / (2 sqrt(-hardening)), and the string does
+    not buckle.
     """
     k = np.arange(200.0)
     moment = k * (1 + NonlinearBending.hinge_stiffness(k, 1.0, hardening))
@@ -250,8 +250,8 @@ def test_softening_bending_moments_never_decrease(hardening):
 def test_an_implicit_step_handles_a_steep_moment_like_small_explicit_steps(name, value):
     """An implicit step handles a steep moment as small explicit steps do.
 
-    The swing would need 5 to 8 times the steps if it were explicit. Noise is 0.7 mm.
-    The small steps are off by 0.01 mm.
+    An explicit swing needs 5 to 8 times the steps. Noise is 0.7 mm. The small steps
+    have an error of 0.01 mm.
     """
     t = np.arange(0, 1.0, 0.005)
     pose = np.stack(
@@ -355,10 +355,9 @@ def test_a_floor_carries_the_part_that_lies_on_it():
 
 
 def test_a_string_at_rest_on_the_floor_stays_at_rest():
-    """The engine leaves a string at rest on the floor.
+    """A string at rest on the floor stays at rest.
 
-    Statics and dynamics have the same floor. (A string straight above it would stand,
-    but not for long.)
+    Statics and dynamics have the same floor.
     """
     t = np.linspace(0, 0.3, 61)
     named = (
@@ -411,8 +410,8 @@ def test_a_bounce_never_gains_energy(loss, tilt):
 def test_friction_brakes_a_hard_impact_and_reverses_no_slide(dt, within):
     """Friction brakes a hard impact by its share, and reverses no slide.
 
-    At any step a mass loses friction times the impulse of the plane. That is friction
-    times 20 m/s, or all the speed that it has.
+    At any step a mass loses the friction coefficient times 20 m/s, the impulse of the
+    plane, or all its speed.
     """
     given = {
         "dt": dt,
@@ -508,8 +507,8 @@ def test_a_ramp_is_followed_with_a_constant_lag():
 def test_a_lagging_hand_arrives_during_rest():
     """A hand that lags arrives while it rests.
 
-    From its log's last sample on it nears its goal as exp(-t / tau). No log is made
-    longer than it takes.
+    After the last sample of its log, its distance from the goal decays as exp(-t /
+    tau). The log is extended no longer than needed.
     """
     pose = np.stack([0.3 * T**2, 0 * T, 0 * T], axis=-1)
     motion = resample_hand_motion(T, pose)
@@ -531,8 +530,8 @@ def test_a_lagging_hand_arrives_during_rest():
 def test_a_joint_with_play_rests_at_reversals():
     """Play leaves a joint where it is at reversals.
 
-    It turns half its gap less to either side, and stands still over a whole gap after
-    each reversal.
+    It turns half its gap less to either side, and rests over a whole gap after each
+    reversal.
     """
     wave, gaps = 0.2 * np.sin(2 * np.pi * T), (0.06, 0.0, 0.02)
     joints = Backlash.joints(
@@ -653,7 +652,7 @@ def views(*names):
 def test_clock_effects_shift_the_times_of_the_string(name, size, there):
     """Other clocks show the string at other moments.
 
-    Each candidate has times of its own, and is the same whatever the others.
+    Each candidate has its own times and does not depend on others.
     """
     model, known, motion = views(name.split(".")[0])
     t = np.linspace(0.05, 0.9, 23)
@@ -711,8 +710,8 @@ def test_a_rolled_camera_rotates_the_picture_about_its_centre():
 def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
     """A rolling shutter shears a line that moves sideways.
 
-    Each point is seen where it is when its row is exposed. That is right for points
-    that cross rows, too.
+    Each point is reported at its position when its row is exposed, also if it crosses
+    rows.
     """
     law = effects_by_name()["rolling_shutter"].observe
     readout, stamped = np.full((1, 1, 1, 1), 0.01), np.full((1, 1, 1, 1), 0.25)
@@ -805,8 +804,8 @@ def test_more_mass_points_reduce_the_error():
 def test_the_last_of_equal_points_has_half_a_segment_too_much():
     """The last of equal points has half a segment too much mass.
 
-    A chain of Eq. 1 is one with half a point at its end. The excess of its number of
-    points is in mass and drag.
+    A chain of Eq. 1 equals one with half a point at its end plus the excess in mass and
+    drag.
     """
     equal, known, motion = views()
     half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(

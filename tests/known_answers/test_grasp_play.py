@@ -35,7 +35,7 @@ def still(theta):
 
 
 def test_a_rod_at_rest_hangs_without_friction():
-    """The rod hangs at rest as if nothing held it.
+    """The rod hangs at rest as without friction.
 
     This holds for any direction of the jaws, and the rod stays there.
     """

@@ -1,6 +1,6 @@
 """Whether the tip entered the box.
 
-Its path between frames counts, but only where it is known.
+Its path between frames counts, except in gaps.
 """
 
 import re
@@ -99,7 +99,7 @@ def test_a_string_that_touches_an_obstacle_first_has_not_hit():
         (Box(0.57, 0.35, 0.021, 0.02),),
         0.1,
     )
-    assert (behind.hit, behind.touched) == (True, 1)  # only after it had hit
+    assert (behind.hit, behind.touched) == (True, 1)  # only after the hit
     assert hit_test(
         readings_of_tip(t, x, 0.5 + 0 * t, pd.DataFrame(rows)), BOX, (), 0.1
     ).hit
@@ -125,11 +125,11 @@ def crossing(moment):
 @pytest.mark.parametrize(
     ("moment", "hit", "touched"),
     [
-        (lambda t: t[95], False, 1),  # at the very moment of entry it is not clear
+        (lambda t: t[95], False, 1),  # a touch at the time of entry is not a clear hit
         (lambda t: t[96], True, 1),
-        (lambda t: -0.0005, True, 0),  # before the movement nothing counts
+        (lambda t: -0.0005, True, 0),  # times before the movement do not count
         (lambda t: 0.0, False, 1),
-        (lambda t: 0.1, True, 1),  # the movement's last moment is one
+        (lambda t: 0.1, True, 1),  # the last time of the movement counts
         (lambda t: 0.1005, True, 0),
     ],
 )
@@ -173,7 +173,7 @@ def test_the_tip_must_arrive_with_the_required_direction_and_speed(wanted, hit):
 
 
 def test_the_reported_passage_is_the_one_that_hits():
-    """The tip passes the centre upwards, and 5 mm beside it downwards."""
+    """The tip passes the centre upwards, and 5 mm from it downwards."""
     t = np.arange(0, 0.2, 0.002)
     up = t < 0.1
     x = np.where(up, 0.5, 0.505)

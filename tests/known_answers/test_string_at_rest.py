@@ -66,10 +66,10 @@ def test_a_stiff_string_sags_like_a_cantilever():
 
 @pytest.mark.parametrize("lean", [0.0, 0.2])
 def test_a_string_from_an_upright_hand_hangs_on_the_side_of_its_turn(lean):
-    """From a hand that points up, a string hangs on the side it turns to.
+    """From an upright hand, a string hangs on the side of its turn.
 
-    It does so on either side, though one is the longer way. With a hand as far off to
-    the other side it is the mirror image.
+    It does so on either side, even on the longer way. The mirrored hand has the mirror
+    image.
     """
     string = String(0.3, points=31, **SECOND_ORDER)
     named = STIFF | {"bending_stiffness": 30.0}
@@ -110,10 +110,9 @@ def test_a_limp_string_hangs_straight_down_at_any_grasp_angle():
 @pytest.mark.parametrize("points", [10, 25, 60])
 @pytest.mark.parametrize("theta", [-np.pi / 2, 0.4, 1.5, 3.0])
 def test_a_string_in_equilibrium_stays_at_rest(points, theta, integrator):
-    """The engine leaves the equilibrium alone.
+    """A string in static equilibrium stays at rest.
 
-    Statics and dynamics are written apart. Neither may have a force that the other does
-    not.
+    Statics and dynamics are separate code, and must have the same forces.
     """
     string = String(0.3, points=points, integrator=integrator)
     t = np.linspace(0, 0.3, 61)
@@ -149,10 +148,10 @@ def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
 @pytest.mark.parametrize("plane", [FLOOR, WALL, SLOPE], ids=["floor", "wall", "slope"])
 @pytest.mark.parametrize("points", [10, 40])
 def test_a_string_that_leans_on_a_plane_stays_at_rest(points, plane, hardness):
-    """The engine leaves a string that leans on something at rest.
+    """A string that leans on a plane stays at rest.
 
-    A thing as hard as a table gives way by less than a string stretches. Statics must
-    balance it, or the string would fall.
+    A plane as hard as a table yields less than a string stretches. Statics must balance
+    it, or the string would fall.
     """
     string = String(
         0.3,
@@ -173,7 +172,7 @@ def test_a_string_that_leans_on_a_plane_stays_at_rest(points, plane, hardness):
 
 
 def test_hand_and_floor_carry_the_weight_together():
-    """A floor carries what the hand does not.
+    """Hand and floor carry the weight together.
 
     A limp string hangs under a hand 0.2 m above the floor. The part on the floor
     presses with its weight, and hardly sinks in.

@@ -95,8 +95,7 @@ def test_air_brings_a_falling_string_to_terminal_speed():
 def test_the_hinge_at_the_grasp_stays_continuous_through_full_turns():
     """The hinge at the grasp stays continuous through full turns.
 
-    A hand that turns three times winds up the hinge evenly. Nothing is different at a
-    multiple of pi.
+    A hand that turns three times winds up the hinge evenly, also at multiples of pi.
     """
     string = String(0.3, points=10)
     named = QUIET | {
@@ -175,7 +174,7 @@ def test_diverging_candidates_are_rejected_and_do_not_affect_others():
 
 
 def test_divergence_after_the_last_time_does_not_matter():
-    """A candidate is judged by its own times alone.
+    """Only a candidate's own times decide on its rejection.
 
     Other candidates may be simulated for longer, and diverge later.
     """

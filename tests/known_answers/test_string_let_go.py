@@ -62,8 +62,8 @@ def state_of(points, number, tick=T[1]):
 def test_a_released_rod_swings_as_a_pendulum(integrator, speed):
     """A released rod swings as a pendulum.
 
-    The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, as of a thin rod. It
-    is 0.7 % off at most, as its frequency is.
+    The angle is a cos(w t) + b / w sin(w t), w^2 = (3 / 2) g / L, as of a thin rod. The
+    largest error is 0.7 %, like that of the frequency.
     """
     string = replace(FINE, points=20, integrator=integrator)
     start = StringState(
@@ -84,8 +84,8 @@ def test_a_released_rod_swings_as_a_pendulum(integrator, speed):
 def test_a_motion_continues_from_any_of_its_states(integrator):
     """A motion continues from any of its states.
 
-    The state is midway through a swing at 3 m/s; 0.15 mm are the strain that a state
-    does not hold. With a start at rest it would be 363 mm off.
+    The state is midway through a swing at 3 m/s. The error of 0.15 mm is the strain,
+    which a state does not contain. With a start at rest it is 363 mm.
     """
     string = replace(FINE, integrator=integrator)
     hand, values = resample_hand_motion(T, SWUNG), string.values(SOFT)[None]
@@ -96,10 +96,10 @@ def test_a_motion_continues_from_any_of_its_states(integrator):
 
 
 def test_initial_velocities_are_corrected_for_the_lag():
-    """A step begins where its velocities are.
+    """Initial velocities are corrected for their lag of half a step.
 
-    Steps of 0.5 ms and twice that are of second order. They are 2.8 and 8.6 um off; 295
-    and 540 without the half step back.
+    Steps of 0.5 and 1 ms are of second order, with errors of 2.8 and 8.6 um; without
+    the correction they are 295 and 540 um.
     """
     hand, values = resample_hand_motion(T, HELD), FINE.values(SOFT)[None]
     start = StringState(
@@ -114,10 +114,10 @@ def test_initial_velocities_are_corrected_for_the_lag():
 
 
 def test_the_initial_state_is_given_on_the_cameras_clock():
-    """The state is given by the camera's clock.
+    """The state is given on the camera's clock.
 
-    A camera whose clock is off sees the same release at the same times of its own
-    clock. The hand moves at others.
+    A camera with a wrong clock films the same release at the same times of its own
+    clock, while the hand moves at other times.
     """
     model = Model(FINE, None, None).with_effects(TimeOffset)
     start = StringState(0.3, np.array([0.0, 0.3]), np.array([-1.5, -0.8]), np.zeros(2))

@@ -1,6 +1,6 @@
 """Every effect of the library keeps its declared properties.
 
-They are invariants, zero, units, gradient, words and picture.
+They are invariants, zero at the start, units, gradient, description and plot.
 """
 
 import re
@@ -59,8 +59,8 @@ NAMES = [
 ADDED = [e for e in LIBRARY.values() if e not in PAPER_EFFECTS and e.parameters]
 PAPER = {p.name: p for e in PAPER_EFFECTS for p in e.parameters}
 NAMED = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
-# Values with which an effect acts: a slip that begins, a floor below the resting
-# string, a wall to bounce from, and a box's corner in the string's way.
+# Values with which an effect acts: a slip during the motion, a floor below the resting
+# string, a wall, and a corner of a box in the way of the string.
 FLOOR = {
     "contact.stiffness": 3e3,
     "contact.height": -0.3,
@@ -210,8 +210,8 @@ def test_laws_are_zero_at_their_start(effect):
 
 # --- a law gives the same result in other metres and seconds
 
-# Laws with a constant of nature or of smoothing: its unit, for new units must keep its
-# number.
+# Units of constants in laws (of nature or of smoothing). New units must not change
+# their numbers.
 CONSTANTS = {
     "contact": "m/s",
     "box_contact": "m/s",
@@ -234,7 +234,7 @@ ELSEWHERE = {
 def exponents(unit: str) -> np.ndarray:
     """Return the powers of metre and second in a unit like 'N s2/(m kg)'.
 
-    Mass cancels in all units of ours.
+    Mass cancels in all units of the effects.
     """
     known = {
         "m": (1, 0, 0),
@@ -307,7 +307,7 @@ def test_laws_do_not_depend_on_the_system_of_units(effect, law):
 def swings(arm, camera):
     """Simulate a swing by the plain model and by one with every effect.
 
-    Both have their base values.
+    All effects have their start values.
     """
     plain = Model(String(0.3), arm, camera)
     motion = swing()
@@ -431,7 +431,7 @@ def test_an_unusually_soft_plane_is_described_as_soft(stiffness, said):
 def test_parameter_ranges_contain_their_start(effect):
     for p in effect.parameters:
         assert p.low <= p.start <= p.high
-        # the first parameter may be absent at zero
+        # only the first parameter may start at zero
         assert p.low in (0.0, -p.high) or (p.low > 0 and p != effect.parameters[0])
         assert p.meaning
         chi = np.linspace(0, 1, 11)
@@ -464,8 +464,8 @@ def test_arguments_of_laws_are_known():
 def test_effects_act_in_physical_order_independent_of_naming_order(swings):
     """Effects act in their physical order, whatever is named first.
 
-    Gears play behind the motor. Where that turns 10 % too far, a joint is half its gap
-    behind the end, not 0.55.
+    Play acts after the motor's gain. If the motor turns 10 % too far, the joint lags by
+    half its gap, not by 0.55 of it.
     """
     plain, _, motion, _ = swings
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]

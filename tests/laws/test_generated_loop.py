@@ -70,9 +70,8 @@ def test_all_effects_of_the_library_need_three_loops():
 def test_absent_jointly_compiled_effects_change_nothing(monkeypatch):
     """An effect that is compiled but absent changes nothing.
 
-    Some effects have a size each, and the others are absent. The loop of all agrees
-    with a loop of their own. The loop of those that cost little agrees with the loop
-    of all.
+    The joint loop agrees with a separate loop of the active effects. The loop of
+    inexpensive effects agrees with the loop of all effects.
     """
     times = np.arange(0, 0.5, 0.005)
     wave = 0.3 * np.sin(2 * np.pi * times / 0.5) ** 2

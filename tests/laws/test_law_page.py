@@ -24,7 +24,7 @@ def test_the_example_on_the_page_runs_and_is_absent_at_its_start(effects_folder)
     effect = effects_by_name()["side_pull"]
 
     plain = String(0.3)
-    # without the last of the paper's forces, and so in a small loop, compiled quickly
+    # without the last of the paper's forces, so the loop is small and compiles quickly
     pulled = replace(plain, effects=(*PAPER_EFFECTS[:-1], effect))
     poses = np.zeros((1, 41, 3))
     poses[..., 1:] = 1.0, -np.pi / 2

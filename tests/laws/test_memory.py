@@ -83,7 +83,7 @@ def test_every_law_with_memory_is_tested_here():
 def test_no_path_extracts_energy_from_a_hinge(name, seed):
     """No path gets more energy out of a hinge than it put in.
 
-    It holds nothing at first, so all work done on it is stored or lost.
+    Its moment is zero at first, so all work done on it is stored or dissipated.
     """
     rng = np.random.default_rng(seed)
     path = np.cumsum(SLIP * rng.normal(size=300) * rng.choice([0.02, 0.3, 2.0]))
@@ -209,8 +209,8 @@ def with_maxwell_slip(arm):
 def test_a_string_at_rest_has_no_memory(arm):
     """The hinges of a string that hangs at rest hold no moment.
 
-    It hangs as without friction, and stays there, started in equilibrium or released
-    there.
+    It hangs as without friction. It stays there if it starts in equilibrium or is
+    released there.
     """
     model = with_maxwell_slip(arm)
     still = resample_joint_motion(
@@ -236,8 +236,8 @@ def test_a_string_at_rest_has_no_memory(arm):
 def test_displacement_within_the_slip_only_stiffens_a_string(arm):
     """A string pulled aside within its slip is only stiffer.
 
-    A string that begins elsewhere was pulled there slowly. While it sticks, a stop adds
-    cap / slip to the stiffness.
+    A string that starts displaced was pulled there slowly. A sticking element adds cap
+    / slip to the stiffness.
     """
     string = with_maxwell_slip(arm).string
     down = HandMotion(
@@ -284,7 +284,8 @@ def test_the_step_bound_covers_the_stiffness_after_a_reversal(name, times, where
 def test_several_effects_of_a_kind_are_numbered(arm):
     """Several effects of a kind are named by numbers.
 
-    Two slips in parallel are one of their sum where they slip at the same curvature.
+    Two slips in parallel with the same slip curvature equal one with the sum of the
+    caps.
     """
     both = ordinary(arm).with_effects(*find_effects(["maxwell_slip", "maxwell_slip_2"]))
     assert {"maxwell_slip.cap", "maxwell_slip_2.cap"} <= set(both.names)

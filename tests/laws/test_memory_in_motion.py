@@ -99,8 +99,8 @@ def turns(t, x):
 def test_a_cap_reduces_each_swing_by_the_same_amount(name):
     """Under a cap each swing is smaller than the last by the same amount.
 
-    The amount is 2 cap / stiffness, less what the slip curvature gives back. It follows
-    from the energy at one end of a swing and the next.
+    The amount is 2 cap / stiffness, minus the elastic part of the slip. It follows from
+    the energies at successive ends of a swing.
     """
     start, cap, slip = 6.0, 0.25 * STIFFNESS, 0.02
     t, curvature = bent({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
@@ -108,7 +108,7 @@ def test_a_cap_reduces_each_swing_by_the_same_amount(name):
     ends = ends[ends > 1.0]
     assert len(ends) >= 8
     lost = -np.diff(np.concatenate([[start], ends]))
-    # work that is not done after a reversal, over the cap
+    # elastic work after a reversal, over the cap
     back = 2 * slip * (1.0 if name == "maxwell_slip" else np.log(2))
     pairs = np.concatenate([[start], ends])
     np.testing.assert_allclose(
@@ -119,8 +119,8 @@ def test_a_cap_reduces_each_swing_by_the_same_amount(name):
 def test_a_sticking_hinge_swings_faster_than_a_slipping_one():
     """A hinge that sticks swings faster than one that slips.
 
-    With K = 3 B it is twice as fast. A swing of a hundred times the slip curvature is
-    as slow as without.
+    With K = 3 B the frequency is twice as high. A swing of a hundred times the slip
+    curvature has the frequency without friction.
     """
     slip = 0.05
     named = {"maxwell_slip.cap": 3 * STIFFNESS * slip, "maxwell_slip.slip": slip}
@@ -145,7 +145,7 @@ def test_a_sticking_hinge_swings_faster_than_a_slipping_one():
     "name", ["maxwell_slip", "dahl_friction", "standard_linear_solid"]
 )
 def test_the_error_falls_at_least_linearly_with_the_step(name, integrator, step):
-    """Half the step is half as far off, and a tenth a tenth: at least first order."""
+    """The error at half the step is at most half, and at a tenth a tenth."""
     values = (
         {"stiffness": STIFFNESS, "relaxation": 0.1}
         if "solid" in name
@@ -161,7 +161,7 @@ def test_the_error_falls_at_least_linearly_with_the_step(name, integrator, step)
     )
     whole, half, tenth = (np.abs(each - exact).max() for each in found)
     assert whole > 0.1 * step
-    # the finest step has an error, too: 1 % of the first at first order
+    # the reference has an error of 1 % of the first
     assert half < 0.51 * whole
     assert tenth < 0.1 * whole
 
@@ -279,7 +279,7 @@ def independent(shape, t, theta, named):
 def test_an_independent_integration_of_a_rod_agrees(law):
     """An independently integrated rod moves the same within 0.05 mm.
 
-    Most of the difference is the stretch that it does not have. Memory moves the tip by
+    Most of the difference is the stretch, which the rod lacks. Memory moves the tip by
     more than 5 mm.
     """
     absent = (

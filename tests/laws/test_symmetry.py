@@ -1,4 +1,4 @@
-"""Symmetries of every force: no place, direction, handedness or company is special."""
+"""Symmetries of all forces: translation, rotation, reflection and other candidates."""
 
 import numba
 import numpy as np
@@ -55,10 +55,10 @@ def test_rotation_of_a_weightless_experiment_rotates_the_string(turn):
 
 
 def test_inner_forces_sum_to_zero():
-    """Inner forces do not push the string as a whole.
+    """Inner forces do not accelerate the string as a whole.
 
-    Weightless and airless, a string is drawn along behind the hand. It ends straight
-    and follows at the hand's speed.
+    Without weight and air, the hand pulls a string. It ends up straight and moves at
+    the hand's speed.
     """
     string = WEIGHTLESS
     t = np.arange(0, 0.8, 0.005)
@@ -82,8 +82,8 @@ def test_inner_forces_sum_to_zero():
 def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
     """A string that turns with the hand is not bent by the grasp.
 
-    Weightless and airless, it is spun about the grasp at a constant rate. It points
-    where the grasp does.
+    Without weight and air, it turns about the grasp at a constant rate, in the
+    direction of the grasp.
     """
     string = WEIGHTLESS
     t = np.arange(0, 1.5, 0.005)
@@ -133,8 +133,8 @@ def test_results_depend_neither_on_other_candidates_nor_on_threads(integrator):
 def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, integrator):
     """The loop for one candidate equals that of many to the bit.
 
-    It is compiled after a thousand runs. A result must not depend on how many there
-    were before.
+    It is compiled after a thousand runs. A result must not depend on the number of
+    runs.
     """
     string = String(0.3, points=15, integrator=integrator)
     rng = np.random.default_rng(1)
@@ -150,7 +150,7 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
 def test_only_the_paper_s_forces_use_a_single_lane(monkeypatch):
     """Only the paper's forces are ever simulated in a single lane.
 
-    With others the compiler rounds some sums otherwise in one lane.
+    With other effects the compiler rounds some sums differently in one lane.
     """
     monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
     string = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))

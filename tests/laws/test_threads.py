@@ -1,6 +1,6 @@
 """Parallel work in pieces.
 
-Each piece is done once, without waiting for a thread that is busy.
+Each piece is processed once, without waiting for a busy thread.
 """
 
 import os
