@@ -73,7 +73,7 @@ def background_responses(
     list of numpy.ndarray, shape (E, 2 n)
         Responses of each trial over sigma.
     """
-    responses = [[np.zeros((0, 2 * len(trial.s)))] for trial in data.trials]
+    by_effect: list[ByTrial] = [[np.zeros((0, 2 * len(t.s))) for t in data.trials]]
     for effect in effects:
         if is_position_dependent(effect) or effect in fit.hypothesis.causes:
             continue
@@ -87,24 +87,20 @@ def background_responses(
         chi[range(count), amplitudes] += PROBE_FRACTION * (end - absent)
         residuals = data.residuals(hypothesis.model, chi)
         changes = subtract_by_trial(residuals, fit.residuals)
-        _append_scaled(responses, data, changes)
+        by_effect.append(_scale_to_one_metre(data, changes))
     for cause in fit.hypothesis.causes:
         amplitudes = fit.hypothesis.amplitude_indices(cause)
-        _append_scaled(responses, data, [slope[amplitudes] for slope in fit.slopes])
-    return [np.concatenate(each) for each in responses]
+        slopes = [slope[amplitudes] for slope in fit.slopes]
+        by_effect.append(_scale_to_one_metre(data, slopes))
+    return [np.concatenate(each) for each in zip(*by_effect, strict=True)]
 
 
-def _append_scaled(
-    responses: Sequence[list[np.ndarray]],
-    data: TrialData,
-    changes: ByTrial,
-) -> None:
-    """Append displacements (C, 2 n) per metre at the tip, except diverged ones."""
+def _scale_to_one_metre(data: TrialData, changes: ByTrial) -> ByTrial:
+    """Scale displacements (C, 2 n) to 1 m at the tip; leave out those that diverge."""
     shift_m = data.overall_tip_rms(changes)
     largest = np.max([np.abs(change).max(axis=1) for change in changes], axis=0)
     kept = (largest <= DIVERGED_RESIDUAL / 2) & (shift_m > 0)
-    for trial_responses, change in zip(responses, changes, strict=True):
-        trial_responses.append(change[kept] / shift_m[kept, None])
+    return [change[kept] / shift_m[kept, None] for change in changes]
 
 
 def posterior_with_background(

@@ -59,16 +59,16 @@ def attach_discrepancy_model(
     TrialData
     """
     values = parameter_values(hypothesis.parameters, chi[None])[0]
-    no_shapes = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
-    initial_modes = initial_mode_columns(trials, values) or no_shapes
     mark_places = mark_place_columns(trials, hypothesis.model, values)
-    error_shapes = error_shapes or no_shapes
+    if error_shapes is None:
+        error_shapes = [np.zeros((2 * len(trial.s), 0)) for trial in trials]
 
     modelled = []
     for k, trial in enumerate(with_growth(trials, hypothesis, chi)):
-        nuisance = np.hstack([initial_modes[k], mark_places[k], error_shapes[k]])
+        initial_modes = initial_mode_columns(trial, values)
+        nuisance = np.hstack([initial_modes, mark_places[k], error_shapes[k]])
         discrepancy = Discrepancy.for_trial(trial, trial.growth, nuisance)
-        centred = reset_initial_state_linear(trial, initial_modes[k])
+        centred = reset_initial_state_linear(trial, initial_modes)
         modelled.append(replace(centred, error_model=discrepancy))
     return with_random_effects(TrialData(tuple(modelled)), hypothesis, chi)
 

@@ -144,27 +144,10 @@ class _InitialStateProblem:
         return np.hstack([white, amplitudes])
 
 
-def initial_mode_columns(
-    trials: Sequence[PreparedTrial],
-    values: np.ndarray,
-) -> tuple[np.ndarray, ...]:
-    """Compute derivatives of points over sigma by each trial's modes, (2 N, M).
+def initial_mode_columns(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
+    """Compute derivatives of points over sigma by the amplitudes of the initial state.
 
-    A trial at rest has no columns. If all are at rest the tuple is empty.
-    """
-    if all(trial.initial_state is None for trial in trials):
-        return ()
-    columns = []
-    for trial in trials:
-        sigma = np.repeat(trial.sigma, 2)
-        columns.append(initial_mode_slopes(trial, values) / sigma[:, None])
-    return tuple(columns)
-
-
-def initial_mode_slopes(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
-    """Compute derivatives of points by the amplitudes of the initial state.
-
-    Returns a column for each amplitude, (2 N, M) [m]: none if the trial starts at rest,
+    Returns a column for each amplitude, (2 N, M): none if the trial starts at rest,
     zeros if the simulation diverges. values: (P,).
     """
     if trial.initial_state is None:
@@ -173,8 +156,7 @@ def initial_mode_slopes(trial: PreparedTrial, values: np.ndarray) -> np.ndarray:
     # Step towards zero, away from the bounds
     step = np.where(start > 0, -DIFFERENCE_STEP, DIFFERENCE_STEP)
     offsets = np.concatenate([np.zeros((1, len(start))), np.diag(step)])
-    in_metres = replace(trial, sigma=np.ones(len(trial.points)))
-    residuals = _residuals_at_amplitudes(in_metres, values, start + offsets)
+    residuals = _residuals_at_amplitudes(trial, values, start + offsets)
     moved = np.ascontiguousarray(residuals[1:].T)
     columns = (moved - residuals[0][:, None]) / step
     return np.where(np.isfinite(columns).all(axis=0), columns, 0.0)
@@ -273,14 +255,9 @@ def with_initial_states_at(data: TrialData, fit: Fit) -> TrialData:
         return data
     values = parameter_values(fit.hypothesis.parameters, fit.chi[None])[0]
     restarted = trials_with_reestimated_start(data, fit)
-    columns = initial_mode_columns(restarted, values)
     trials = []
-    for trial, restarted_trial, shapes in zip(
-        data.trials,
-        restarted,
-        columns,
-        strict=True,
-    ):
+    for trial, restarted_trial in zip(data.trials, restarted, strict=True):
+        shapes = initial_mode_columns(restarted_trial, values)
         # Restore the measured points, then displace them by the new modes
         discrepancy = trial.discrepancy
         measured = reset_initial_state_linear(trial, -discrepancy.nuisance_shapes)

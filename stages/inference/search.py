@@ -231,10 +231,9 @@ def with_estimated_noise(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     trials = [replace(t, error_model=UNIT_ERRORS) for t in likelihood.data.trials]
     plain = likelihood.with_trials(trials)
     values = parameter_values(likelihood.parameters, chi)
-    columns = initial_mode_columns(trials, values)
     modelled = []
     for k, residual in enumerate(plain.residuals_by_trial(chi[None])):
         scale = float(mad_sigma(residual)) + MIN_SCALE
-        errors = IndependentErrors(scale, columns[k] if columns else None)
+        errors = IndependentErrors(scale, initial_mode_columns(trials[k], values))
         modelled.append(replace(trials[k], error_model=errors))
     return plain.with_trials(modelled)

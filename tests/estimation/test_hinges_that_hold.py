@@ -14,7 +14,7 @@ from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.initial_modes import (
-    initial_mode_slopes,
+    initial_mode_columns,
     initial_state_parameters,
     refine_initial_state,
 )
@@ -131,7 +131,7 @@ def test_what_the_hinges_held_is_found_from_the_motion(model, let_back):
 def test_it_is_one_more_thing_that_nobody_knows(model):
     ready = prepare_trial(model, released(1.4, 0.6, 1))
     assert len(initial_state_parameters(model.string)) == 13
-    assert initial_mode_slopes(ready, model.values(CABLE)).shape == (
+    assert initial_mode_columns(ready, model.values(CABLE)).shape == (
         2 * len(ready.points),
         13,
     )

@@ -19,7 +19,7 @@ from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.initial_modes import (
     INITIAL_MODES,
-    initial_mode_slopes,
+    initial_mode_columns,
     refine_initial_state,
 )
 from stringcast.stages.inference.initial_state import (
@@ -232,9 +232,9 @@ def test_a_state_stays_where_the_string_cannot_be_simulated(model):
     unchanged = refine_initial_state(ready, nowhere)
     assert np.array_equal(unchanged.initial_state.angle, ready.initial_state.angle)
     assert np.array_equal(unchanged.initial_state.rate, ready.initial_state.rate)
-    assert not initial_mode_slopes(ready, nowhere).any()
+    assert not initial_mode_columns(ready, nowhere).any()
     assert (
-        initial_mode_slopes(ready, model.values(NAMED)).any(axis=0).sum()
+        initial_mode_columns(ready, model.values(NAMED)).any(axis=0).sum()
         == 2 * INITIAL_MODES
     )
 

@@ -329,26 +329,13 @@ def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
     assert np.array_equal(unchanged.initial_state.angle, trial.initial_state.angle)
 
 
-def test_mode_columns_are_over_sigma_and_empty_at_rest(monkeypatch):
-    slopes = np.arange(24.0).reshape(8, 3)
-    monkeypatch.setattr(
-        initial_modes,
-        "initial_mode_slopes",
-        lambda trial, values: slopes if trial.initial_state else slopes[:, :0],
-    )
-    moving = moving_trial()
-    at_rest = SimpleNamespace(initial_state=None, sigma=moving.sigma)
-    columns = initial_modes.initial_mode_columns([at_rest, moving], None)
-    assert columns[0].shape == (8, 0)
-    sigma = np.array([0.1, 0.1, 0.2, 0.2, 0.4, 0.4, 0.5, 0.5])
-    assert columns[1] == pytest.approx(slopes / sigma[:, None])
-    assert initial_modes.initial_mode_columns([at_rest], None) == ()
-
-
-def test_slopes_of_amplitudes_are_in_metres(linear_residuals):
+def test_mode_columns_are_slopes_of_residuals_and_empty_at_rest(linear_residuals):
     trial = moving_trial(memory=0.0)
-    slopes = initial_modes.initial_mode_slopes(trial, np.zeros(13))
-    assert slopes == pytest.approx(linear_residuals.T)
+    columns = initial_modes.initial_mode_columns(trial, np.zeros(13))
+    over_sigma = linear_residuals / np.repeat(trial.sigma, 2)
+    assert columns == pytest.approx(over_sigma.T)
+    at_rest = SimpleNamespace(initial_state=None, points=np.zeros((4, 2)))
+    assert initial_modes.initial_mode_columns(at_rest, None).shape == (8, 0)
 
 
 def test_a_mode_whose_simulation_diverges_has_zero_slopes(monkeypatch):
@@ -358,7 +345,7 @@ def test_a_mode_whose_simulation_diverges_has_zero_slopes(monkeypatch):
         return moved
 
     monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", residuals)
-    slopes = initial_modes.initial_mode_slopes(moving_trial(memory=0.0), None)
+    slopes = initial_modes.initial_mode_columns(moving_trial(memory=0.0), None)
     expected = np.ones((8, 13))
     expected[:, 1] = 0.0
     assert slopes == pytest.approx(expected)

@@ -425,10 +425,9 @@ def test_slopes_of_the_initial_state_step_away_from_the_bounds(monkeypatch):
         return amplitudes @ shapes
 
     monkeypatch.setattr(initial_modes, "initial_amplitudes", lambda trial: start)
-    monkeypatch.setattr(initial_modes, "replace", lambda trial, **changed: trial)
     monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", residuals)
     trial = SimpleNamespace(initial_state="known", points=np.zeros((2, 2)))
-    columns = initial_modes.initial_mode_slopes(trial, None)
+    columns = initial_modes.initial_mode_columns(trial, None)
     assert columns == pytest.approx(shapes.T)
     assert list(np.sign(np.diag(asked[0][1:] - asked[0][0]))) == [-1, 1, 1]
 

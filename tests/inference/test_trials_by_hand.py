@@ -439,22 +439,19 @@ class Fitted:
 
 
 def test_each_trial_has_the_noise_of_its_own_residual(monkeypatch):
-    columns = (np.ones((4, 2)), np.ones((4, 3)))
-    found_columns = [columns, ()]
+    columns = [np.ones((4, 2)), np.ones((4, 0))]
+    left = iter(columns)
     monkeypatch.setattr(
-        search, "initial_mode_columns", lambda trials, values: found_columns.pop(0)
+        search, "initial_mode_columns", lambda trial, values: next(left)
     )
     likelihood = Fitted([np.array([[1.0, -3.0, 2.0]]), np.zeros((1, 4))])
-    moving, at_rest = (
-        search.with_estimated_noise(likelihood, np.array([0.5])) for _ in range(2)
+    estimated = search.with_estimated_noise(likelihood, np.array([0.5]))
+    errors = [trial.error_model for trial in estimated.data.trials]
+    assert [each.scale for each in errors] == pytest.approx([1.4826, 1e-9])
+    assert all(isinstance(each, IndependentErrors) for each in errors)
+    assert all(
+        each.nuisance is shapes for each, shapes in zip(errors, columns, strict=True)
     )
-    for estimated in (moving, at_rest):
-        errors = [trial.error_model for trial in estimated.data.trials]
-        assert [each.scale for each in errors] == pytest.approx([1.4826, 1e-9])
-        assert all(isinstance(each, IndependentErrors) for each in errors)
-    for trial, shapes in zip(moving.data.trials, columns, strict=True):
-        assert trial.error_model.nuisance is shapes
-    assert all(trial.error_model.nuisance is None for trial in at_rest.data.trials)
 
 
 def test_states_are_refined_over_a_span_and_the_loss_is_then_robust(monkeypatch):
