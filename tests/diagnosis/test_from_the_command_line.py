@@ -9,6 +9,7 @@ from conftest import call_command, leave_pictures_empty
 from stringcast.data.artifacts import Motion
 from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.store import load
+from stringcast.stages.clock import offset
 from tests.diagnosis.slow_casts import write_slow_casts
 
 
@@ -17,18 +18,26 @@ def folder(arm, camera, tmp_path_factory):
     """Diagnose two slow casts whose joints lag by 1 ms; return data/ and run/."""
     folder = tmp_path_factory.mktemp("lag")
     write_slow_casts(folder / "data", arm, camera, {"arm_lag.time_constant": 1e-3})
+    trials_with_tested_clocks = []
     with pytest.MonkeyPatch.context() as patch:
         leave_pictures_empty(patch)
+        # a fit of seconds, which tests/checking/test_clocks.py has
+        patch.setattr(
+            offset,
+            "refuse_wrong_clock",
+            lambda model, trials, rng: trials_with_tested_clocks.extend(trials),
+        )
         command = call_command(
             "+experiment=diagnose",
             f"trials={folder / 'data'}",
-            "diagnose.starts=4",
+            "diagnose.starts=2",
             "diagnose.design.motions=20",
             "diagnose.criteria.tip_tolerance_m=0.0005",  # the lag moves the tip 1 mm
             f"hydra.run.dir={folder / 'run'}",
         )
     assert command.returncode == 0, command.stderr
     assert "Warning" not in command.stderr
+    assert len(trials_with_tested_clocks) == 2
     return folder
 
 
