@@ -154,17 +154,18 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     if limit == 0:
         return nothing
 
-    # recurring positions and (0, 0), the most frequent first
+    # recurring positions and (0, 0), the most frequent first; complex numbers x + iy
+    # are sorted in a quarter of the time of rows (x, y)
     positions, number, counts = np.unique(
-        xy, axis=0, return_inverse=True, return_counts=True
+        xy[:, 0] + 1j * xy[:, 1], return_inverse=True, return_counts=True
     )
-    is_zero = (positions == 0).all(axis=1)
+    is_zero = positions == 0
     recurring = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
     by_frequency = recurring[np.argsort(-counts[recurring])]
 
     # a tracker writes the same position for all lost points
     for candidate in by_frequency[:MAX_FIXED_POSITIONS]:
-        mask = number.reshape(-1) == candidate
+        mask = number == candidate
         visits = find_runs(mask)
         must_return = not is_zero[candidate]
         if mask.all() or (must_return and len(visits) < MIN_RECURRENCES):
@@ -173,8 +174,8 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
         for first, last in visits:
             away_count += _is_away(xy, first, last, limit, must_return)
         if away_count >= MIN_AWAY_SHARE * len(visits):
-            x, y = positions[candidate]
-            return mask, f"({x:.4g}, {y:.4g})"
+            place = positions[candidate]
+            return mask, f"({place.real:.4g}, {place.imag:.4g})"
     return nothing
 
 
