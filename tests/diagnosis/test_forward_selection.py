@@ -16,7 +16,7 @@ from synthetic_trials import (
 )
 
 from stringcast.stages.common import InterruptRequest
-from stringcast.stages.diagnose import cause_search, tables
+from stringcast.stages.diagnose import cause_search, held_out_gain, tables
 from stringcast.stages.diagnose import diagnose as module
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
@@ -204,7 +204,7 @@ def test_a_cause_that_hardly_moves_the_tip_is_not_accepted(trial, shift, is_acce
 def heavy_tip_casts(arm, camera):
     """Simulate casts that hide a tip mass.
 
-    Two diagnoses of them share their fits, because results of long calls are kept.
+    Three diagnoses of them share their fits, because results of long calls are kept.
     """
     with use_store(MemoryStore()):
         yield simulate_casts(arm, camera, {"tip_mass.ratio": 0.05})
@@ -332,13 +332,34 @@ def test_after_an_interruption_accepted_causes_are_reported_but_not_named(
     assert set(diagnosis.entries["cause"]) == {"tip_mass"}
 
 
+def test_causes_that_do_not_improve_predictions_are_not_named(
+    arm, camera, heavy_tip_casts, monkeypatch
+):
+    monkeypatch.setattr(
+        held_out_gain, "improves_predictions", lambda base, extended: False
+    )
+    model = Model(String(0.3), arm, camera)
+    diagnosis = diagnose_few_effects(model, heavy_tip_casts, monkeypatch)
+    assert diagnosis.finding["verdict"].iloc[0] == "unknown"
+    assert list(diagnosis.causes["effect"].unique()) == []
+    assert "tip_mass" not in diagnosis.finding["extended"].iloc[0]
+    # it was found, and is not named for this reason alone
+    assert diagnosis.hypotheses["causes"].str.contains("tip_mass").any()
+
+
 def test_nothing_is_named_in_a_string_without_causes(arm, camera, monkeypatch):
+    """Nor is the trial searched that is held out, as it shows nothing that others lack.
+
+    `test_set_aside` has one that does.
+    """
     string = String(0.3, points=57, tip_cell=0.5, grasp_cell=0.5)
     model = Model(string, arm, camera)
     trials = simulate_casts(arm, camera, {})
-    diagnosis = diagnose_few_effects(model, trials, monkeypatch)
+    diagnosis = diagnose_few_effects(model, trials, monkeypatch, held_out=["t2"])
     document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
     assert diagnosis.verdict == "none"
+    assert document["gain"]["held_out_trials"] == ["t2"]
+    assert not document["gain"]["causes_chosen_from_them"]
     high_m = document["unexplained"]["tip_rms_m"]["high"]
     assert high_m < CRITERIA.tip_tolerance_m
 

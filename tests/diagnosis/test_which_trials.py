@@ -6,15 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import (
-    CRITERIA,
-    diagnose_trials,
-    simulate_trial,
-    swing_angles,
-)
+from synthetic_trials import CRITERIA, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import cause_search, held_out_gain, selection_state
-from stringcast.stages.diagnose import diagnose as module
+from stringcast.stages.diagnose import cause_search, selection_state
 from stringcast.stages.diagnose.discretisation import (
     LONGEST_STEP_S,
     STEP_S,
@@ -31,35 +25,7 @@ from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.library import effects_by_name, find_effects
-
-EFFECTS = ("joint_gain", "time_offset", "arm_lag", "tip_mass", "wind", "resolution")
-
-
-def test_causes_that_do_not_improve_predictions_are_not_named(arm, monkeypatch):
-    """Causes that predict no trial left out are not named.
-
-    The joints turn 3 % further than they report, which is named where it predicts
-    (`test_hidden_causes`).
-    """
-    monkeypatch.setattr(
-        held_out_gain, "improves_predictions", lambda base, extended: False
-    )
-    library = {effect.name: effect for effect in find_effects(EFFECTS)}
-    for each in (cause_search, module):
-        monkeypatch.setattr(each, "effects_by_name", lambda: library)
-    real = with_second_order_mesh(ordinary(arm))
-    real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
-    values, rng = TRUTH | {"joint_gain.gain": 0.03}, np.random.default_rng(5)
-    places, trials = np.arange(16, 81, 16), []
-    for k, angles in enumerate(swing_angles(arm, 2)):
-        trials.append(simulate_trial(f"t{k}", arm, real, values, angles, places, rng))
-    diagnosis = diagnose_trials(ordinary(arm), trials, 2)
-    assert diagnosis.finding["verdict"].iloc[0] == "unknown"
-    assert list(diagnosis.causes["effect"].unique()) == []
-    assert "joint_gain" not in diagnosis.finding["extended"].iloc[0]
-    # it was found, and is not named for this reason alone
-    assert diagnosis.hypotheses["causes"].str.contains("joint_gain").any()
+from stringcast.stages.model.library import effects_by_name
 
 
 @pytest.mark.parametrize(
