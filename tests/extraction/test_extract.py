@@ -109,15 +109,18 @@ def test_fast_casts_are_read(filmed, arm, camera, name, duration):
         assert (
             np.linalg.norm(np.diff(true[:, -1], axis=0), axis=-1) / np.diff(t)
         ).max() > 20
-        found = extract(
-            footage_from_joints(trial.film, arm), camera, string_length=0.3, **SETTINGS
+        whole = footage_from_joints(trial.film, arm)
+        # every second frame shows as much of the background
+        half = Footage(
+            whole.t[::2], whole.images[::2], whole.grasp[::2], whole.body[::2]
         )
+        found = extract(half, camera, string_length=0.3, **SETTINGS)
         across, tips = distances_from_truth(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
-        off += [tips[i] / sigma[i] for i in tips]
+        off += [tips[i] / sigma[i // 2] for i in tips]
         near = near + sum(a < 1 for a in across.values())
         close = close + sum(a < 3 for a in tips.values())
-        total += len(t)
+        total += len(half.t)
     assert near >= 0.98 * total
     assert close >= 0.98 * total
     # sigma is of a coordinate, and distances in the plane follow Rayleigh's
