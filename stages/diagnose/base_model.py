@@ -195,7 +195,6 @@ def widen_ranges_with_causes(
         Trials corrected at the fit.
     fit : Fit
         The fit with the causes.
-    criteria : Criteria
 
     Returns
     -------

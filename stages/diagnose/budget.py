@@ -22,7 +22,6 @@ class BudgetEntry:
 
     Attributes
     ----------
-    source : str
     tip_rms_m : float
         Root mean square at the tip over all trials [m].
     log_evidence : float

@@ -33,7 +33,6 @@ class DesignSettings:
 
     Attributes
     ----------
-    motions : int
     shortest, longest : float
         Range of the movement time [s].
     alpha : float

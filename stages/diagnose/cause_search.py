@@ -43,12 +43,10 @@ class SearchProgress(NamedTuple):
 
     Attributes
     ----------
-    trials : TrialsByUse
     prepared : PreparedData
         Trials corrected at the base model, before any cause.
     effects : list of type of Effect
         The candidates.
-    state : SelectionState
     """
 
     trials: TrialsByUse

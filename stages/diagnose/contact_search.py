@@ -49,7 +49,6 @@ class ContactCandidates:
 
     Attributes
     ----------
-    hypothesis : Hypothesis
     start : numpy.ndarray, shape (P,)
         Exponents with the cause absent.
     parameter_indices : list of int
@@ -61,7 +60,6 @@ class ContactCandidates:
     departure_times : numpy.ndarray, shape (K,)
         Times at which the measured string departs from the fitted one [s]; infinite if
         it never does.
-    seed : int
     """
 
     hypothesis: Hypothesis

@@ -86,17 +86,7 @@ BASE_MODEL_HEADER = "# No effect is named: this is the base model.\n"
 
 
 def run(call: StageCall, trials: TrialSet) -> Diagnosis:
-    """Diagnose all trials, up to where their string touches an obstacle, as a stage.
-
-    Parameters
-    ----------
-    call : StageCall
-    trials : TrialSet
-
-    Returns
-    -------
-    Diagnosis
-    """
+    """Diagnose all trials, up to where their string touches an obstacle, as a stage."""
     obstacles = call.setup.obstacles
     observations = [trim_at_contact(o, obstacles) for o in trials.observations]
     diagnosis: Diagnosis = call.by(
@@ -131,8 +121,6 @@ def diagnose(
 
     Parameters
     ----------
-    model : Model
-    observations : sequence of Observation
     rejected : dict
         Names of trials that cannot be used, with the reason.
     held_out : sequence of str
@@ -140,21 +128,14 @@ def diagnose(
         out in turn.
     obstacles : sequence of Box
         Obstacles for the proposed motion.
-    seed : int
     starts : int
         Number of starts of the base model's search.
-    criteria : Criteria
     matching : Matching
         Settings of the matching rate.
     design : DesignSettings
         Settings of the motion that would distinguish look-alikes.
     excluded_effects : sequence of str
         Names of effects that are not candidates.
-    progress : callable
-
-    Returns
-    -------
-    Diagnosis
 
     Raises
     ------

@@ -48,15 +48,10 @@ def attach_discrepancy_model(
     Parameters
     ----------
     trials : sequence of PreparedTrial, length K
-    hypothesis : Hypothesis
     chi : numpy.ndarray, shape (P,)
         Exponents of the hypothesis at which initial states are linearised.
     error_shapes : sequence of numpy.ndarray, shape (2 n, D), optional
         Further displacements of each trial over sigma, with amplitudes N(0, 1).
-
-    Returns
-    -------
-    TrialData
     """
     values = parameter_values(hypothesis.parameters, chi[None])[0]
     mark_places = mark_place_columns(trials, hypothesis.model, values)

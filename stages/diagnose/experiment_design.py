@@ -85,7 +85,6 @@ class Rivals:
         Fits by name of the cause that differs, the likeliest first.
     data : TrialData
         The measured trials.
-    deciding_log_odds : float
     """
 
     fits: Mapping[str, Fit]

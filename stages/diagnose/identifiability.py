@@ -45,8 +45,6 @@ class DetectionLimit:
 
     Attributes
     ----------
-    effect : type of Effect
-    parameter : Parameter
     absent_value : float
         The value at which the effect does nothing.
     detectable_value, detectable_tip_shift_m : float
@@ -112,8 +110,6 @@ def detection_limits(
 
     Parameters
     ----------
-    prepared : PreparedData
-    effects : sequence of type of Effect
     criteria : Criteria
         Criteria of the diagnosis.
     seed : int

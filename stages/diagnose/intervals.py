@@ -33,7 +33,6 @@ def parameter_uncertainty(
     ----------
     data : TrialData
         The data of the fit.
-    fit : Fit
     background : sequence of numpy.ndarray
         Responses to other effects (`background_responses`).
     half_width : float

@@ -42,10 +42,7 @@ def estimate_initial_noise(
     """Set the noise of all trials from the residuals of the base model.
 
     Smooth motion is first removed from the residuals: it is misfit of the model.
-
-    Returns
-    -------
-    trials_with_outliers, trials : tuple of PreparedTrial
+    Returns the trials with outliers and without.
     """
     measured = likelihood.data.trials
     kept, residuals, levels = remove_outliers(measured, likelihood.model, chi)

@@ -106,7 +106,6 @@ class Posteriors:
 
     Attributes
     ----------
-    state : SelectionState
     background : sequence of numpy.ndarray
         Responses to other effects (`background_responses`).
     by_cause : tuple of SingleEffectPosterior

@@ -41,7 +41,6 @@ class TrialPrediction:
 
     Attributes
     ----------
-    hypothesis : Hypothesis
     chi : numpy.ndarray, shape (P,)
         Exponents that were fitted to other trials.
     residual : numpy.ndarray, shape (2 n,)

@@ -97,14 +97,11 @@ def prepare_data(
 
     Parameters
     ----------
-    model : Model
     observations : sequence of Observation, length K
     tolerance_m : float
         Tolerance to which simulation must resolve the tip of a trial [m].
-    rng : numpy.random.Generator
     starts : int
         Number of starts of the search for the base model's parameters.
-    progress : callable
     longest_step_s : float
         Limit of the time step where long steps are accurate [s].
     keep_if_chaotic : sequence of str

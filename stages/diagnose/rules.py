@@ -87,7 +87,6 @@ class Criteria:
 
     Attributes
     ----------
-    max_causes : int
     coverage : float
         Probability of credible sets and of intervals.
     alpha : float

@@ -37,7 +37,6 @@ def explained_shares(
 
     Parameters
     ----------
-    data : TrialData
     without, fit : Fit
         The fits without the cause and with it.
     min_tip_shift_m : float

@@ -37,7 +37,6 @@ def lengthen_steps_while_accurate(
 
     Parameters
     ----------
-    likelihood : Likelihood
     chi : numpy.ndarray, shape (P,)
         Exponents of the fit.
     tolerance_m : float

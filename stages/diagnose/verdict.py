@@ -162,7 +162,6 @@ class Judgement:
 
     Attributes
     ----------
-    verdict : Verdict
     numbers : VerdictNumbers
         The numbers that decided it.
     posteriors : tuple of SingleEffectPosterior

@@ -197,7 +197,6 @@ class _ErrorsOfOnset:
 
     Attributes
     ----------
-    basis : OnsetBasis
     nuisance : numpy.ndarray, shape (m, 2, M)
         U in rotated coefficients.
     """

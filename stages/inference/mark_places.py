@@ -33,8 +33,6 @@ def mark_place_columns(
 
     Parameters
     ----------
-    trials : sequence of PreparedTrial
-    model : Model
     values : numpy.ndarray, shape (P,)
         Parameters of the model.
 
