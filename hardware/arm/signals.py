@@ -24,7 +24,7 @@ class TerminationSignals:
         self.former_handlers: dict[signal.Signals, Handler] = {}
 
     def install(self) -> None:
-        """Install the handlers."""
+        """Install the signal handlers."""
         with suppress(ValueError):
             self.former_handlers = {
                 number: signal.signal(number, _raise_interrupt)

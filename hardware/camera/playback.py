@@ -66,7 +66,7 @@ class PlayedStream(Stream):
     start: float = field(default_factory=time.monotonic)
 
     def begin(self) -> None:
-        """Start the playback."""
+        """Start the playback now."""
         self.number, self.start = 0, time.monotonic()
 
     def read(self) -> Frame | None:

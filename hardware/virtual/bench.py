@@ -220,7 +220,7 @@ class VirtualArm:
         return self.bench.pose
 
     def check(self, commands: pd.DataFrame) -> None:
-        """Accept every motion."""
+        """Accept every motion of the virtual arm."""
 
     def move_to(self, angles: Sequence[float]) -> None:
         """Move to angles (J,) [rad], with the string at rest."""

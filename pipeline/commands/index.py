@@ -39,13 +39,13 @@ RUNS_TABLE = Table(
     state (text): ended, failed or incomplete
     outcome (text): hit, missed, dry run, estimated, or the verdict of a diagnosis;
         empty before the end
-    causes (text): that a diagnosis found, with commas between
+    causes (text): found by a diagnosis, separated by commas
     iterations [1] (int): casts, or trials used
     best_E [1]: best matching rate E of its estimates; NaN if there is none
-    seconds [s]: spent in its steps
+    seconds [s]: duration of its steps
     stale (text): why a step of it is stale; empty if all are fresh
     not_kept (text): 'frames' if a step's frames were not kept, or empty
-    said (text): how it ended or why it stopped, in words
+    message (text): outcome, or why the run stopped
     """),
 )
 # first characters of formulas in spreadsheets; the last four are East Asian forms
@@ -172,7 +172,7 @@ def run_row(run: Path) -> dict[str, Any]:
             "state": "damaged",
             "stale": "",
             "not_kept": "",
-            "said": reason,
+            "message": reason,
         }
 
 
@@ -213,7 +213,7 @@ def ending_columns(
             require_plain_file(failure_file, MAX_TEXT_BYTES)
             reason = failure_file.read_text(encoding="utf-8").strip()
         state = "failed" if reason else "incomplete"
-        return {"state": state, "outcome": "", "causes": "", "said": reason}
+        return {"state": state, "outcome": "", "causes": "", "message": reason}
 
     outcome, causes = "estimated", ""
     if (run / "diagnosis.json").is_file():
@@ -226,8 +226,12 @@ def ending_columns(
             outcome = "dry run"
         else:
             outcome = "hit" if summary["hit"] else "missed"
-    said = summary["sentence"]
-    return {"state": "ended", "outcome": outcome, "causes": causes, "said": said}
+    return {
+        "state": "ended",
+        "outcome": outcome,
+        "causes": causes,
+        "message": summary["sentence"],
+    }
 
 
 def step_columns(

@@ -204,7 +204,7 @@ def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
 
 
 def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
-    """Build the obstacles."""
+    """Build the boxes that the string must not touch."""
     boxes = require_block(block, "obstacles", where)["boxes"]
     if not isinstance(boxes, list):
         setting = f"obstacles.boxes = {boxes!r} ({where})"

@@ -23,7 +23,7 @@ LOOK_NUMBER = 0  # number of the slow trial before the first cast
 
 @dataclass(frozen=True)
 class Step:
-    """One execution of a stage in an iteration.
+    """A single execution of a stage in an iteration.
 
     Parameters
     ----------

@@ -248,7 +248,7 @@ def write_stage_files(result: RunResult) -> None:
 
 
 def write_summary(result: RunResult) -> None:
-    """Write run.json."""
+    """Write the summary of a run to run.json."""
     text = json.dumps(run_summary(result), indent=2)
     store.write_text(result.folder / SUMMARY_FILE, text)
 

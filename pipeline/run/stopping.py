@@ -18,7 +18,7 @@ REPEAT_AFTER_S = 0.05  # [s], longer than a callback
 
 
 def repeat_ignored_interrupts() -> None:
-    """From now on, repeat interrupts that Python ignored.
+    """Repeat every interrupt that Python ignored, from now on.
 
     Exceptions in finalizers and in callbacks from C are ignored. LLVM calls back after
     compiling a loop for seconds, and a Ctrl-C in that time would be lost.

@@ -14,9 +14,6 @@ SMALL = (
 
 
 def about(trials: Path, *overrides: str) -> Experiment:
-    """Return an experiment ready to be performed.
-
-    `overrides` are those of the command line.
-    """
+    """Compose an experiment on trials with overrides."""
     words = (*overrides, f"trials={trials}", "string.length=0.33", *SMALL)
     return compose_experiment(*words)

@@ -1,7 +1,4 @@
-"""The command as a user gives it.
-
-It runs, resumes, estimates again, sweeps, and refuses clearly.
-"""
+"""The command line: runs, resuming, estimation from stored trials, and errors."""
 
 import json
 import re
@@ -21,48 +18,42 @@ from stringcast.data import store
 from stringcast.pipeline.settings import composition, settings_from_runs
 from tests.experiments import compose_experiment
 
-BARE = "saved_outputs=[frames]"  # leaves out the report where the test does not need it
-# a target [m] as small as the paper's, which two casts do not hit
+BARE = "saved_outputs=[frames]"  # no report
+# as small as the paper's target [m], and not hit by two casts
 MISSED = ("target.w=0.02", "target.h=0.04")
 EXPERIMENTS = sorted(p.stem for p in (ROOT / "conf" / "experiment").glob("*.yaml"))
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):
-    """Perform a smoke run, whose page has empty pictures."""
+    """Perform a smoke run with empty pictures."""
     folder = tmp_path_factory.mktemp("runs") / "quick"
     with pytest.MonkeyPatch.context() as patch:
         leave_pictures_empty(patch)
-        done = call_command(
+        result = call_command(
             *("-v", "+experiment=quick", "max_casts=2", *MISSED, "camera.fps=50"),
             f"hydra.run.dir={folder}",
         )
-    assert done.returncode == 0, done.stderr
-    assert "pipeline.run.run_folder: iterations/02/motion made in" in done.stderr
+    assert result.returncode == 0, result.stderr
+    assert "pipeline.run.run_folder: iterations/02/motion made in" in result.stderr
     return folder
 
 
-def tables(folder):
+def read_tables(folder):
     return {
         str(p.relative_to(folder)): pd.read_parquet(p)
         for p in sorted(folder.rglob("*.parquet"))
     }
 
 
-def same(a, b):
+def assert_equal_tables(a, b):
     assert a.keys() == b.keys()
     for name in a:
         pd.testing.assert_frame_equal(a[name], b[name], check_exact=True, obj=name)
 
 
-def test_what_is_found_does_not_depend_on_how_many_cores_there_are(
-    monkeypatch, called, tmp_path
-):
-    """Results do not depend on the number of cores.
-
-    Sums of long columns by several threads differ in their last digit. A fit that stops
-    a step later differs by more.
-    """
+def test_results_do_not_depend_on_the_number_of_cores(monkeypatch, called, tmp_path):
+    """Sums by several threads differ in their last digit; a fit amplifies this."""
     for words, place in (
         (["seed=1"], "stringcast.pipeline.run.single_run.main"),
         (["index"], "stringcast.pipeline.commands.index.main"),
@@ -78,7 +69,7 @@ def test_what_is_found_does_not_depend_on_how_many_cores_there_are(
         }
 
 
-def test_a_run_leaves_everything_on_disk(quick):
+def test_run_stores_steps_page_and_log(quick):
     ended = json.loads((quick / "run.json").read_text())
     assert ended["sentence"]
     assert {p.name for p in (quick / "iterations" / "01").iterdir()} == {
@@ -102,11 +93,8 @@ def test_a_run_leaves_everything_on_disk(quick):
     assert "cast 1: the tip came within" in log
 
 
-def test_the_second_motion_is_the_first_slightly_changed(quick):
-    """The second motion is the first slightly changed, as Section III says.
-
-    It has the same start, and control points near the last ones.
-    """
+def test_second_motion_is_a_perturbation_of_the_first(quick):
+    """Section III: it has the same start, and control points near the last ones."""
     first, second = (
         pd.read_parquet(quick / f"iterations/{n}/motion/commands.parquet")
         for n in ("01", "02")
@@ -123,7 +111,7 @@ def test_the_second_motion_is_the_first_slightly_changed(quick):
     ) + 1e-9
 
 
-def test_every_number_has_its_unit_and_every_file_its_origin(quick):
+def test_all_columns_have_units_and_all_files_an_origin(quick):
     for file in sorted(quick.rglob("*.parquet")):
         for column in pq.read_schema(file):
             assert column.metadata, (
@@ -144,17 +132,14 @@ def test_every_number_has_its_unit_and_every_file_its_origin(quick):
 
 
 def without_pictures(page):
-    """Return the text of a page, with what each picture shows in words."""
+    """Return the text of a page without image data."""
     return re.sub(r'src="[^"]+"', "", page.read_text())
 
 
-def test_an_interrupted_run_goes_on_to_the_same_result(
-    quick, called, undrawn, tmp_path
-):
-    """An interrupted run continues to the same result.
+def test_interrupted_run_continues_to_the_same_result(quick, called, undrawn, tmp_path):
+    """As after a kill, artifacts are missing, and one is incomplete.
 
-    As if killed in the middle, later artifacts are missing, and one is half written
-    under another name. It continues on another number of threads, too.
+    The run continues with another number of threads.
     """
     part = tmp_path / "part"
     shutil.copytree(quick, part)
@@ -164,7 +149,7 @@ def test_an_interrupted_run_goes_on_to_the_same_result(
     (part / "run.json").unlink()
     with other_threads():
         assert called("resume", part).returncode == 0
-    same(tables(part), tables(quick))
+    assert_equal_tables(read_tables(part), read_tables(quick))
     for name in ("run.json", "dataset.yaml"):
         assert (part / name).read_bytes() == (quick / name).read_bytes(), name
     pages = [without_pictures(run / "report.html") for run in (part, quick)]
@@ -181,56 +166,50 @@ def test_an_interrupted_run_goes_on_to_the_same_result(
     assert "other settings" in other.stderr
 
 
-def test_a_run_comes_out_the_same_when_it_is_computed_again(quick, called):
-    done = called("verify", quick)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "iterations/01/trial: the same to the bit" in done.stdout
+def test_run_is_reproducible_bit_by_bit(quick, called):
+    result = called("verify", quick)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "iterations/01/trial: the same to the bit" in result.stdout
     assert (
-        done.stdout.count("the same to the bit")
+        result.stdout.count("the same to the bit")
         == 4 * len(list((quick / "iterations").iterdir())) + 2
     )
 
 
-def test_estimation_again_from_stored_trials_is_bit_identical(quick, called, tmp_path):
-    again = called(
+def test_estimation_from_stored_trials_is_bit_identical(quick, called, tmp_path):
+    repeated = called(
         "+experiment=estimate",
         f"trials={quick}",
         BARE,
         f"hydra.run.dir={tmp_path / 'again'}",
     )
-    assert again.returncode == 0, again.stderr
+    assert repeated.returncode == 0, repeated.stderr
     for number in ("01", "02"):
         first = quick / "iterations" / number / "estimate"
         if first.exists():
-            same(
-                tables(first),
-                tables(tmp_path / "again" / "iterations" / number / "estimate"),
+            assert_equal_tables(
+                read_tables(first),
+                read_tables(tmp_path / "again" / "iterations" / number / "estimate"),
             )
 
 
-def test_points_are_made_of_frames_where_only_frames_were_stored(
-    quick, called, tmp_path
-):
-    """Points are extracted from frames where only frames were stored.
-
-    The dataset of others has pictures and joint angles. The same pictures give the same
-    points.
-    """
+def test_points_are_extracted_from_stored_frames(quick, called, tmp_path):
+    """A foreign dataset has pictures and joint angles; the points are equal."""
     theirs = tmp_path / "theirs"
     for file in ("arm.parquet", "frames.parquet", "dataset.yaml"):
         theirs.mkdir(exist_ok=True)
         shutil.copy(quick / file, theirs)
     shutil.copytree(quick / "iterations/01/trial", theirs / "iterations/01/trial")
-    asked = ("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40", BARE)
-    done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
-    assert done.returncode == 0, done.stderr
-    same(
-        tables(quick / "iterations/01/points"),
-        tables(tmp_path / "run/iterations/01/points"),
+    words = ("+experiment=estimate", f"trials={theirs}", "estimate.candidates=40", BARE)
+    result = called(*words, f"hydra.run.dir={tmp_path / 'run'}")
+    assert result.returncode == 0, result.stderr
+    assert_equal_tables(
+        read_tables(quick / "iterations/01/points"),
+        read_tables(tmp_path / "run/iterations/01/points"),
     )
-    about = theirs / "dataset.yaml"
-    about.write_text(about.read_text().replace("px_per_m", "per_m"))
-    refused = called(*asked, f"hydra.run.dir={tmp_path / 'other'}")
+    trials = theirs / "dataset.yaml"
+    trials.write_text(trials.read_text().replace("px_per_m", "per_m"))
+    refused = called(*words, f"hydra.run.dir={tmp_path / 'other'}")
     assert refused.returncode == 1
     assert "camera.px_per_m must be there" in refused.stderr.replace("\n", " ")
 
@@ -326,7 +305,7 @@ def test_points_are_made_of_frames_where_only_frames_were_stored(
         ),
     ],
 )
-def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
+def test_bad_input_gives_one_clear_error(overrides, words, called, tmp_path):
     place = (
         []
         if any("run.dir" in o for o in overrides)
@@ -340,46 +319,37 @@ def test_bad_input_is_one_clear_error(overrides, words, called, tmp_path):
         assert not (tmp_path / "run").exists() or not any((tmp_path / "run").iterdir())
 
 
-def test_stored_trials_keep_their_settings_but_for_what_is_given(
-    quick, called, tmp_path
-):
-    """Stored trials keep their settings except for those that are given.
-
-    A part of a block given on the command line must not restore the rest of its
-    defaults.
-    """
-    about = tmp_path / "trials"
-    shutil.copytree(quick, about)
-    known = json.loads((about / "config.json").read_text())
+def test_given_settings_override_those_of_stored_trials(quick, called, tmp_path):
+    """Giving a part of a block must not restore the defaults of its other settings."""
+    trials = tmp_path / "trials"
+    shutil.copytree(quick, trials)
+    stored = json.loads((trials / "config.json").read_text())
     cma = {
         "_target_": "stages.estimate.cma_es.estimate",
         "candidates": 40,
         "sigma": 0.3,
         "population": 8,
     }
-    known["estimate"] = cma | {"matching": known["estimate"]["matching"]}
-    (about / "config.json").write_text(json.dumps(known))
-    asked = (
+    stored["estimate"] = cma | {"matching": stored["estimate"]["matching"]}
+    (trials / "config.json").write_text(json.dumps(stored))
+    words = (
         "+experiment=estimate",
-        f"trials={about}",
+        f"trials={trials}",
         "estimate.matching.delta_w=0.5",
         BARE,
     )
-    done = called(*asked, f"hydra.run.dir={tmp_path / 'run'}")
-    assert done.returncode == 0, done.stderr
+    result = called(*words, f"hydra.run.dir={tmp_path / 'run'}")
+    assert result.returncode == 0, result.stderr
     used = json.loads((tmp_path / "run" / "config.json").read_text())["estimate"]
-    assert used == cma | {"matching": known["estimate"]["matching"] | {"delta_w": 0.5}}
-    (about / "config.json").write_text("{")
-    refused = called(*asked, f"hydra.run.dir={tmp_path / 'other'}")
+    assert used == cma | {"matching": stored["estimate"]["matching"] | {"delta_w": 0.5}}
+    (trials / "config.json").write_text("{")
+    refused = called(*words, f"hydra.run.dir={tmp_path / 'other'}")
     assert refused.returncode == 1
     assert "config.json: damaged" in refused.stderr.replace("\n", " ")
 
 
-def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tmp_path):
-    """A measured string keeps its length, however it is simulated.
-
-    This includes a run of ours. A length on the command line takes precedence.
-    """
+def test_measured_length_does_not_depend_on_the_simulated_string(quick, tmp_path):
+    """Only a length on the command line replaces it."""
     (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.45}\n")
 
     def used(folder, *more):
@@ -396,13 +366,13 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
         used(tmp_path, "string=paper")["points"],
     ) == (0.45, 10)
     assert used(tmp_path, "string=fine", "string.length=0.4")["length"] == 0.4
-    known = json.loads((quick / "config.json").read_text())
+    stored = json.loads((quick / "config.json").read_text())
     (tmp_path / "config.json").write_text(
-        json.dumps(known | {"string": known["string"] | {"length": 0.35}})
+        json.dumps(stored | {"string": stored["string"] | {"length": 0.35}})
     )
     assert (used(tmp_path)["length"], used(tmp_path)["points"]) == (
         0.35,
-        known["string"]["points"],
+        stored["string"]["points"],
     )
     assert (
         used(tmp_path, "string=fine")["length"],
@@ -411,12 +381,8 @@ def test_a_measured_string_is_as_long_as_it_is_however_it_is_simulated(quick, tm
 
 
 @pytest.mark.long
-def test_ctrl_c_says_how_to_go_on(tmp_path):
-    """Ctrl-C ends a run of the virtual lab with how to go on.
-
-    `tests/drivers/test_run_interrupted.py` interrupts a process with an arm, and
-    `test_interrupted_step.py` a stage at work.
-    """
+def test_ctrl_c_prints_the_command_to_resume(tmp_path):
+    """See also `tests/drivers/test_run_interrupted.py`, `test_interrupted_step.py`."""
     import signal
 
     command = [
@@ -426,22 +392,20 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
         "+experiment=quick",
         f"hydra.run.dir={tmp_path / 'run'}",
     ]
-    # a process that tests start in the background would ignore SIGINT
+    # a background process would ignore SIGINT
     signal.signal(signal.SIGINT, signal.default_int_handler)
     running = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     while not (tmp_path / "run" / "iterations").exists():
         time.sleep(0.05)
     running.send_signal(signal.SIGINT)
-    _, said = running.communicate(timeout=60)
-    assert running.returncode == 130, said
-    assert "Traceback" not in said
-    assert f"resume {tmp_path / 'run'}" in said.replace("\n", "")
+    _, stderr = running.communicate(timeout=60)
+    assert running.returncode == 130, stderr
+    assert "Traceback" not in stderr
+    assert f"resume {tmp_path / 'run'}" in stderr.replace("\n", "")
 
 
-@pytest.mark.long  # to draw the page twice takes 8 s
-def test_a_page_that_a_full_disk_cost_is_drawn_again_to_the_byte(
-    quick, called, tmp_path
-):
+@pytest.mark.long  # drawing the page twice takes 8 s
+def test_page_is_redrawn_byte_by_byte(quick, called, tmp_path):
     pages = []
     continued = shutil.copytree(quick, tmp_path / "quick")
     for _ in range(2):
@@ -453,7 +417,7 @@ def test_a_page_that_a_full_disk_cost_is_drawn_again_to_the_byte(
     assert pages[0] == pages[1]
 
 
-def test_a_damaged_trial_is_named(quick, called, tmp_path):
+def test_damaged_trial_is_named(quick, called, tmp_path):
     broken = tmp_path / "broken"
     shutil.copytree(quick, broken)
     file = broken / "points.parquet"
@@ -466,7 +430,7 @@ def test_a_damaged_trial_is_named(quick, called, tmp_path):
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_every_experiment_composes_and_is_valid(name):
+def test_all_experiments_compose_and_are_valid(name):
     stored = (
         ["trials=outputs/some-run"]
         if name in ("estimate", "diagnose", "decide")
@@ -475,13 +439,13 @@ def test_every_experiment_composes_and_is_valid(name):
     points = {"stringD": 25, "long": 30}
     points |= dict.fromkeys(("window", "gap", "several", "estimate", "adaptive"), 20)
     points |= dict.fromkeys(("diagnose", "decide"), 57)
-    own = ("align", "calibrate")  # experiments that simulate no string
+    own = ("align", "calibrate")  # experiments without a simulated string
     points |= dict.fromkeys(own, 57)
     string = compose_experiment(f"+experiment={name}", *stored).string
     assert string.points == points.get(name, 10)
 
 
-def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
+def test_tighter_tolerance_gives_more_points():
     loose, tight = (
         compose_experiment("string=fine", f"string.tolerance={t}").string
         for t in (0.03, 0.003)
@@ -491,7 +455,7 @@ def test_a_tolerance_finds_points_and_step_and_a_tighter_one_more():
     assert compose_experiment("string=fine").string.points == 57
 
 
-def test_help_shows_the_settings_with_their_comments(called):
+def test_help_shows_settings_with_comments(called):
     shown = called("--help")
     assert shown.returncode == 0
     assert "+experiment=stringB" in shown.stdout

@@ -1,7 +1,4 @@
-"""The commands verify, why, diff, lineage, index and resume.
-
-They describe whole, changed, damaged and unfinished runs.
-"""
+"""The commands verify, why, diff, lineage and index, on complete and damaged runs."""
 
 import json
 import re
@@ -33,7 +30,7 @@ PAGE = Path(commands.__file__).with_name("README.md")
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """Perform a whole run of two casts, and another with another seed."""
+    """Perform two runs of two casts with different seeds."""
     outputs = tmp_path_factory.mktemp("outputs")
     toy_run(outputs / "day" / "a", toy_experiment())
     toy_run(outputs / "day" / "b", toy_experiment(seed=3))
@@ -42,18 +39,18 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def run(finished, tmp_path):
-    """Copy the whole run, to be damaged."""
+    """Copy a complete run, to be damaged."""
     return shutil.copytree(finished / "day" / "a", tmp_path / "run")
 
 
 def run_line(capsys, *command):
     """Return the exit status of a command, and its output on one line."""
     status = shell.run_command(command[0], [str(word) for word in command[1:]])
-    said = capsys.readouterr()
-    return status, re.sub(r"\s+", " ", said.out + said.err)
+    output = capsys.readouterr()
+    return status, re.sub(r"\s+", " ", output.out + output.err)
 
 
-def verified(run, tmp_path, here):
+def verify(run, tmp_path, here):
     @contextmanager
     def bar(name):
         yield lambda share: None
@@ -70,9 +67,9 @@ def change(run, step, table, column, row, value):
     store.write_table(table, frame, file, store.read_origin(file))
 
 
-def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
+def test_verify_does_not_change_a_run(run, tmp_path):
     before = {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run.rglob("*")}
-    outcome = verified(run, tmp_path, toy_experiment())
+    outcome = verify(run, tmp_path, toy_experiment())
     assert outcome.is_same
     assert len(outcome.lines) == 10
     assert all(line.endswith("the same to the bit") for line in outcome.lines)
@@ -81,7 +78,7 @@ def test_a_whole_run_is_verified_and_not_touched(run, tmp_path):
     } == before
 
 
-def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
+def test_verify_reports_position_and_size_of_differences(run, tmp_path):
     change(
         run,
         "02/points",
@@ -90,7 +87,7 @@ def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
         1,
         lambda x: np.nextafter(x, 1e9),
     )
-    outcome = verified(run, tmp_path, toy_experiment())
+    outcome = verify(run, tmp_path, toy_experiment())
     assert not outcome.is_same
     at = outcome.lines.index("iterations/02/points: DIFFERS")
     assert re.search(
@@ -98,25 +95,25 @@ def test_verify_says_where_a_value_differs_and_by_how_much(run, tmp_path):
         outcome.lines[at + 1],
     )
     assert "iterations/01/points: the same to the bit" in outcome.lines
-    # the estimate was made from points that no longer exist
+    # it was made from points that no longer exist
     assert "iterations/02/estimate: DIFFERS" in outcome.lines
     assert any(
         "input iterations/02/points has changed" in line for line in outcome.lines
     )
 
 
-def test_verify_notices_images_run_json_and_what_is_missing(run, tmp_path):
+def test_verify_detects_changed_images_summary_and_missing_steps(run, tmp_path):
     image = run / "iterations/01/trial/images/0.png"
     shutil.copy(image.with_name("1.png"), image)
     (run / "run.json").write_text(
         (run / "run.json").read_text().replace('"hit": false', '"hit": true', 1)
     )
-    lines = "\n".join(verified(run, tmp_path, toy_experiment()).lines)
+    lines = "\n".join(verify(run, tmp_path, toy_experiment()).lines)
     assert "images/0.png: 256 pixels differ, at most by 1 grey levels" in lines
     assert "it differs from the summary of the steps" in lines
     shutil.rmtree(run / "iterations/02/points")
     shutil.rmtree(tmp_path / "aside")
-    outcome = verified(run, tmp_path, toy_experiment())
+    outcome = verify(run, tmp_path, toy_experiment())
     assert not outcome.is_same
     assert outcome.lines[-2:] == [
         "iterations/02/points: DIFFERS",
@@ -130,17 +127,14 @@ def aligned(model, observations, films, *, progress):
     )
 
 
-def test_a_run_without_points_is_verified_too(tmp_path):
-    """A run without points is verified, too.
-
-    An alignment films the arm, and reads no string, so it has no dataset.
-    """
+def test_verify_accepts_a_run_without_points(tmp_path):
+    """An alignment films the arm alone, so it has no points and no dataset."""
     mode = Batch(stage="align", reading=(), again=False, first=("generate", "execute"))
     here = toy_experiment(1, mode=mode)
     here = replace(here, stages={**here.stages, "align": aligned})
     toy_run(tmp_path / "run", here)
     assert (tmp_path / "run" / "extended.yaml").exists()
-    outcome = verified(tmp_path / "run", tmp_path, here)
+    outcome = verify(tmp_path / "run", tmp_path, here)
     assert outcome.is_same
     assert [line.partition(":")[0] for line in outcome.lines] == [
         *(f"iterations/01/{name}" for name in ("motion", "trial", "alignment")),
@@ -149,17 +143,15 @@ def test_a_run_without_points_is_verified_too(tmp_path):
 
 
 def real_arm():
-    """Return the toy experiment with an arm that is not the virtual lab's."""
+    """Return the toy experiment with a real arm."""
     here = toy_experiment()
     hardware = {**here.config["hardware"], "_target_": "hardware.serial.lab.open_lab"}
     return toy_experiment(hardware=hardware)
 
 
-def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
-    tmp_path, monkeypatch
-):
+def test_trials_of_a_real_arm_are_never_replaced(tmp_path, monkeypatch):
     toy_run(tmp_path / "run", real_arm())
-    outcome = verified(tmp_path / "run", tmp_path, real_arm())
+    outcome = verify(tmp_path / "run", tmp_path, real_arm())
     assert outcome.is_same
     assert (
         outcome.lines[1]
@@ -168,9 +160,9 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
     before = contents(tmp_path / "run")
     with monkeypatch.context() as patch:
         patch.setattr(provenance, "code_state", changed_code)
-        made, said = toy_run(tmp_path / "run", real_arm())
-    assert made == ["extract", "estimate"]  # artifacts after which no arm has moved
-    assert "keeping iterations/01/motion, by which the arm has moved: " in said
+        made, output = toy_run(tmp_path / "run", real_arm())
+    assert made == ["extract", "estimate"]  # no arm has moved after these
+    assert "keeping iterations/01/motion, by which the arm has moved: " in output
     assert contents(tmp_path / "run") == before
     trial = tmp_path / "run/iterations/01/trial/arm.parquet"
     trial.write_bytes(trial.read_bytes()[:-5])
@@ -179,20 +171,20 @@ def test_what_a_real_arm_did_is_neither_computed_again_nor_replaced(
 
 
 def changed_code():
-    """Return the state of a code with other sources."""
+    """Return the state of changed code."""
     return {"commit": "0" * 40, "source": "0" * 64}
 
 
-def test_after_a_change_of_the_code_every_step_is_made_again(run, monkeypatch):
+def test_code_change_makes_all_steps_stale(run, monkeypatch):
     assert toy_run(run, toy_experiment())[0] == []
     monkeypatch.setattr(provenance, "code_state", changed_code)
-    made, said = toy_run(run, toy_experiment())
+    made, output = toy_run(run, toy_experiment())
     assert made == ["generate", "execute", "extract", "estimate"] * 2
-    assert "the code has changed" in said
+    assert "the code has changed" in output
     assert toy_run(run, toy_experiment())[0] == []
 
 
-def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatch):
+def test_why_names_changed_setting_package_and_input(run, capsys, monkeypatch):
     assert run_line(capsys, "why", run) == (
         0,
         " ".join(
@@ -205,17 +197,18 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     config = json.loads((run / "config.json").read_text())
     config["estimate"]["beta"] = 0.9
     (run / "config.json").write_text(json.dumps(config))
-    status, said = run_line(capsys, "why", run)
+    status, output = run_line(capsys, "why", run)
     assert status == 1
-    assert "iterations/01/points: fresh" in said
-    assert "iterations/01/estimate: stale estimate.beta 0.995 -> 0.9" in said
+    assert "iterations/01/points: fresh" in output
+    assert "iterations/01/estimate: stale estimate.beta 0.995 -> 0.9" in output
     assert (
-        "iterations/02/motion: stale iterations/01/estimate, an input, is stale" in said
+        "iterations/02/motion: stale iterations/01/estimate, an input, is stale"
+        in output
     )
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
-    status, said = run_line(capsys, "why", run / "iterations/01/estimate")
-    assert "input iterations/01/points has changed" in said
-    assert "motion" not in said
+    status, output = run_line(capsys, "why", run / "iterations/01/estimate")
+    assert "input iterations/01/points has changed" in output
+    assert "motion" not in output
     real = provenance.step_origin
     monkeypatch.setattr(
         provenance,
@@ -227,31 +220,31 @@ def test_why_names_the_setting_the_package_and_the_input(run, capsys, monkeypatc
     assert re.search(r"package numpy [\d.]+ -> 9\.9", run_line(capsys, "why", run)[1])
 
 
-def test_diff_says_what_differs(finished, run, capsys):
+def test_diff_lists_differences_and_their_possible_cause(finished, run, capsys):
     same = run_line(capsys, "diff", finished / "day/a", run)
     assert same == (
         0,
         "settings: the same data: the same code: the same packages: the same results: the same "
         "The two runs are the same in everything that was compared. ",
     )
-    status, said = run_line(capsys, "diff", finished / "day/a", finished / "day/b")
+    status, output = run_line(capsys, "diff", finished / "day/a", finished / "day/b")
     assert status == 1
-    assert "settings: differ seed: 0 and 3" in said
+    assert "settings: differ seed: 0 and 3" in output
     assert (
         "code: the same packages: the same results: differ run.json: iterations.1.E_after:"
-        in said
+        in output
     )
     assert re.search(
         r"iterations/01/motion/commands.parquet: column q1: 2 of 2 rows differ, first row 0: ",
-        said,
+        output,
     )
     assert re.search(
         r"(Both runs|The first run) .*\. What can explain it: settings \(seed\)\. $",
-        said,
+        output,
     )
     (run / "points.parquet").unlink()
-    said = run_line(capsys, "diff", finished / "day/a", run)[1]
-    assert "Nothing that they were made of differs: check the machines." in said
+    output = run_line(capsys, "diff", finished / "day/a", run)[1]
+    assert "Nothing that they were made of differs: check the machines." in output
     assert (
         "points.parquet: it is only in the first"
         in run_line(capsys, "diff", finished / "day/a", run)[1]
@@ -271,14 +264,14 @@ def test_diff_says_what_differs(finished, run, capsys):
         ({"x": [1.0, 5.0, 2.0]}, {"x": [1.5, 5.0, 4.0]}, ["column x: 2 of 3 rows differ, first row 0: 1.0 and 1.5, at most 2 apart (row 2)"]),
     ],
 )  # fmt: skip
-def test_tables_are_compared_by_columns_types_rows_and_bits(tmp_path, a, b, words):
+def test_table_differences_name_columns_types_rows_and_values(tmp_path, a, b, words):
     for name, table in (("a", a), ("b", b)):
         pd.DataFrame(table).to_parquet(tmp_path / f"{name}.parquet")
     assert file_differences(tmp_path / "a.parquet", tmp_path / "b.parquet") == words
 
 
-def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, capsys):
-    status, said = run_line(
+def test_lineage_reaches_the_first_motion_and_marks_changes(run, capsys):
+    status, output = run_line(
         capsys, "lineage", run / "iterations/02/estimate/fit.parquet"
     )
     assert status == 0
@@ -291,11 +284,11 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
         "numpy ",
         "commit ",
     ):
-        assert words in said
+        assert words in output
     change(run, "01/points", Points.TABLES["points"], "x", 0, lambda x: x + 1)
-    status, said = run_line(capsys, "lineage", run / "report.html")
+    status, output = run_line(capsys, "lineage", run / "report.html")
     assert status == 1
-    assert "iterations/01/points HAS CHANGED SINCE" in said
+    assert "iterations/01/points HAS CHANGED SINCE" in output
     shutil.rmtree(run / "iterations/01/motion")
     assert (
         "iterations/01/motion IS GONE"
@@ -305,11 +298,7 @@ def test_lineage_goes_back_to_the_first_motion_and_notices_what_changed(run, cap
 
 @pytest.fixture
 def many(finished, tmp_path):
-    """Return runs in many states.
-
-    They ended, failed, were interrupted, are damaged, stale, or of a version without a
-    setting.
-    """
+    """Return runs that ended, failed, stopped, or are damaged, stale or outdated."""
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     for name in ("failed", "interrupted", "damaged", "stale", "old"):
         shutil.copytree(outputs / "day/a", outputs / "day" / name)
@@ -325,8 +314,8 @@ def many(finished, tmp_path):
     return outputs
 
 
-def test_a_diagnosis_of_five_trials_counts_five_and_names_its_causes(tmp_path):
-    """One step uses all trials, so steps are not what is counted."""
+def test_index_counts_trials_and_causes_of_a_diagnosis(tmp_path):
+    """One step uses all trials, so steps are not counted."""
     step = tmp_path / "iterations/05/diagnosis"
     step.mkdir(parents=True)
     store.write_table(RUNS_TABLE, RUNS_TABLE.empty(), step / "x.parquet", {})
@@ -338,15 +327,15 @@ def test_a_diagnosis_of_five_trials_counts_five_and_names_its_causes(tmp_path):
     (tmp_path / "diagnosis.json").write_text(json.dumps(document))
     (tmp_path / "config.json").write_text('{"name": "d", "mode": {}}')
     runs = list_runs(tmp_path).iloc[0]
-    assert (runs["iterations"], runs["outcome"]) == (5, "effect"), runs["said"]
+    assert (runs["iterations"], runs["outcome"]) == (5, "effect"), runs["message"]
     assert runs["causes"] == "wind, clamp"
 
 
 def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     for to in ("runs.html", "runs.parquet", "runs.csv"):
-        status, said = run_line(capsys, "index", many, "--to", tmp_path / to)
+        status, output = run_line(capsys, "index", many, "--to", tmp_path / to)
         assert status == 0
-    assert "day/a" in said
+    assert "day/a" in output
     runs = pd.read_parquet(tmp_path / "runs.parquet").set_index("run")
     assert dict(runs["state"]) == {
         "day/a": "ended",
@@ -358,7 +347,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
         "day/old": "ended",
     }
     assert runs.loc["day/a", "outcome"] == "missed"
-    assert runs.loc["day/failed", "said"] == "the camera is not there"
+    assert runs.loc["day/failed", "message"] == "the camera is not there"
     assert (
         runs.loc["day/stale", "stale"]
         == "iterations/01/points: extract.points 31 -> 30"
@@ -388,7 +377,7 @@ def test_index_lists_runs_with_their_outcome(many, capsys, tmp_path):
     assert "day/failed" in page
 
 
-def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
+def test_commands_refuse_folders_that_are_not_runs(run, tmp_path, capsys):
     for command in (
         ["verify", tmp_path],
         ["resume", tmp_path],
@@ -397,15 +386,15 @@ def test_a_run_refused_or_unknown_is_one_clear_error(run, tmp_path, capsys):
         ["lineage", tmp_path / "x"],
         ["index", tmp_path / "x"],
     ):
-        status, said = run_line(capsys, *command)
+        status, output = run_line(capsys, *command)
         assert status == 2
-        assert said.startswith("Error: ")
-        assert str(tmp_path) in said.replace(" ", "")
-    status, said = run_line(capsys, "index", tmp_path, "--to", "runs.xlsx")
-    assert (status, "must end in .html, .parquet or .csv" in said) == (2, True)
+        assert output.startswith("Error: ")
+        assert str(tmp_path) in output.replace(" ", "")
+    status, output = run_line(capsys, "index", tmp_path, "--to", "runs.xlsx")
+    assert (status, "must end in .html, .parquet or .csv" in output) == (2, True)
 
 
-def test_every_command_has_a_help_and_is_listed(capsys):
+def test_all_commands_are_listed_and_have_help(capsys):
     listed = dict(
         line.split(maxsplit=1) for line in commands.command_list().splitlines()
     )
@@ -414,19 +403,17 @@ def test_every_command_has_a_help_and_is_listed(capsys):
         with pytest.raises(SystemExit) as stopped:
             commands.load_command(name)(["--help"])
         assert stopped.value.code == 0
-        said = re.sub(r"\s+", " ", capsys.readouterr().out)
-        assert re.sub(r"\s+", " ", words) in said
-        assert f"pipeline {name}" in said
+        output = re.sub(r"\s+", " ", capsys.readouterr().out)
+        assert re.sub(r"\s+", " ", words) in output
+        assert f"pipeline {name}" in output
 
 
 def blocks(language):
-    """Return the examples of the page, in their order."""
+    """Return the examples on the page, in order."""
     return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(), re.DOTALL)
 
 
-def test_the_examples_of_the_page_run_in_pandas(
-    finished, tmp_path, monkeypatch, capsys
-):
+def test_pandas_examples_of_the_page_run(finished, tmp_path, monkeypatch, capsys):
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
     run_line(capsys, "index", "outputs", "--to", "runs.parquet")
@@ -437,9 +424,7 @@ def test_the_examples_of_the_page_run_in_pandas(
         assert len(known["answer"])
 
 
-def test_the_examples_of_the_page_run_in_duckdb(
-    finished, tmp_path, monkeypatch, capsys
-):
+def test_duckdb_examples_of_the_page_run(finished, tmp_path, monkeypatch, capsys):
     duckdb = pytest.importorskip("duckdb")
     outputs = shutil.copytree(finished, tmp_path / "outputs")
     monkeypatch.chdir(outputs.parent)
@@ -450,11 +435,8 @@ def test_the_examples_of_the_page_run_in_duckdb(
 
 
 @pytest.mark.parametrize("mode", [Calibrate()])
-def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
-    """A study has no steps to be asked for.
-
-    Its trials, where it has any, are not read as a dataset.
-    """
+def test_calibration_has_no_steps_to_walk(mode, tmp_path):
+    """Its setting `trials` is not read as a dataset."""
     study = toy_experiment(mode=mode, trials=str(tmp_path))
     with pytest.raises(
         UserError,
@@ -463,12 +445,8 @@ def test_a_study_has_no_steps_to_ask_for(mode, tmp_path):
         walk_steps(study, tmp_path, lambda step: None)
 
 
-def test_stored_trials_are_looked_for_where_they_were_named(tmp_path, monkeypatch):
-    """Stored trials are looked for where they were named.
-
-    A run lies elsewhere than its `trials`, which may be named relative to the folder
-    where the command was given.
-    """
+def test_input_hashes_search_run_and_working_folder(tmp_path, monkeypatch):
+    """`trials` may be relative to the working folder of the command."""
     monkeypatch.chdir(tmp_path)
     for name in ("data/arm.csv", "run/iterations/01/points/points.csv", "secret"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,7 @@
-"""Decisions with a bench attached.
+"""The experiment `decide` performs proposed motions and diagnoses again.
 
-A motion that a diagnosis proposes is performed, filmed and diagnosed with all the rest.
-
-The diagnosis itself is replaced by one that proposes a swing until it has seen it,
-because only the orchestration is tested here.
+A fake diagnosis proposes a swing until one was performed, as only the orchestration is
+tested.
 """
 
 import json
@@ -63,7 +61,7 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
 
 @pytest.fixture(autouse=True, scope="module")
 def clocks_are_together():
-    """Spare each run the estimate of the clocks, which takes 5 s; others test it."""
+    """Skip the test of clocks, which takes 5 s."""
     place = "stringcast.pipeline.modes.diagnose.refuse_unlike_clocks"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(place, lambda *given: None)
@@ -90,7 +88,7 @@ def decided(sample_trial, tmp_path_factory):
     return result, list(SEEN)
 
 
-def test_the_motion_proposed_is_performed_and_seen_with_the_others(decided):
+def test_proposed_motion_is_performed_and_its_trial_diagnosed(decided):
     result, (first, second) = decided
     assert second == [*first, f"performed-{len(first) + 1:02d}"]
     place = result.folder / "iterations" / f"{len(first) + 1:02d}"
@@ -110,7 +108,9 @@ def test_the_motion_proposed_is_performed_and_seen_with_the_others(decided):
     assert sources[trial.as_posix()] == content_hash(result.folder / trial)
 
 
-def test_an_interrupted_run_goes_on_where_it_was(decided, sample_trial, tmp_path):
+def test_interrupted_decision_continues_without_repeating_steps(
+    decided, sample_trial, tmp_path
+):
     result, _ = decided
     run = shutil.copytree(result.folder, tmp_path / "run")
     last = sorted((run / "iterations").iterdir())[-1]
@@ -122,10 +122,12 @@ def test_an_interrupted_run_goes_on_where_it_was(decided, sample_trial, tmp_path
     assert content_hash(run / "iterations") == whole
 
 
-def test_a_diagnosis_alone_leaves_the_motion_and_moves_nothing(sample_trial, tmp_path):
+def test_plain_diagnosis_proposes_a_motion_without_performing_it(
+    sample_trial, tmp_path
+):
     result = decide(sample_trial, tmp_path, "diagnose")
-    said = json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"]
-    motion = load(Motion, tmp_path / said["motion"])
+    proposal = json.loads((tmp_path / "diagnosis.json").read_text())["next_experiment"]
+    motion = load(Motion, tmp_path / proposal["motion"])
     assert motion.duration == pytest.approx(0.2)
     assert not list((tmp_path / "iterations").rglob("trial"))
     assert result.sentence == "So. Swing."

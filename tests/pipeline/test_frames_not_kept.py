@@ -1,4 +1,4 @@
-"""Runs whose frames were not kept are datasets, and as reproducible as others."""
+"""Runs without stored frames are reproducible datasets."""
 
 from dataclasses import replace
 
@@ -17,38 +17,38 @@ from tests.faults.toy import STAGES, rows, silent, toy_experiment, toy_run
 
 @pytest.fixture
 def run(tmp_path):
-    """Make a toy run of which only tables were kept."""
+    """Make a toy run without stored frames."""
     folder = tmp_path / "outputs" / "run"
     toy_run(folder, toy_experiment(2, saved_outputs=["report"]))
     assert not list(folder.rglob("*.png"))
     return folder
 
 
-def test_every_step_stays_fresh_and_frames_are_called_not_kept(run, capsys):
-    said = {}
+def test_steps_stay_fresh_and_frames_are_reported_as_not_kept(run, capsys):
+    output = {}
     for name, place in (
         ("why", run),
         ("lineage", run / "iterations/02/trial"),
         ("index", run.parent),
     ):
         assert load_command(name)([str(place)]) == 0
-        said[name] = capsys.readouterr().out
-    assert "stale" not in said["why"]
-    assert "iterations/02/trial: fresh; its frames were not kept" in said["why"]
-    assert "its frames were not kept" in said["lineage"]
-    assert "HAS CHANGED" not in said["lineage"]
-    assert "not kept" in said["index"]
+        output[name] = capsys.readouterr().out
+    assert "stale" not in output["why"]
+    assert "iterations/02/trial: fresh; its frames were not kept" in output["why"]
+    assert "its frames were not kept" in output["lineage"]
+    assert "HAS CHANGED" not in output["lineage"]
+    assert "not kept" in output["index"]
     (row,) = list_runs(run.parent).itertuples()
     assert (row.stale, row.not_kept) == ("", "frames")
 
 
-def test_a_run_that_is_continued_makes_nothing_again(run):
-    made, said = toy_run(run, toy_experiment(2, saved_outputs=["report"]))
+def test_continued_run_repeats_no_step(run):
+    made, output = toy_run(run, toy_experiment(2, saved_outputs=["report"]))
     assert made == []
-    assert "report.html stays as it is: the frames were not kept" in said
+    assert "report.html stays as it is: the frames were not kept" in output
 
 
-def test_frames_are_filmed_again_to_verify_them(run, tmp_path):
+def test_verify_films_removed_frames_again(run, tmp_path):
     here = toy_experiment(2, saved_outputs=["report"])
     scratch = tmp_path / "scratch"
     scratch.mkdir()
@@ -58,26 +58,26 @@ def test_frames_are_filmed_again_to_verify_them(run, tmp_path):
     assert "its frames were not kept" in outcome.lines[place + 1]
 
 
-def test_the_dataset_has_no_film_and_loses_no_rows(run):
+def test_dataset_without_frames_keeps_all_rows(run):
     data = dataset.read_dataset(run)
     assert not data.films
     assert "frames.parquet" not in data.row_counts
 
 
-def test_a_damaged_frame_is_filmed_again(tmp_path):
+def test_damaged_frame_is_filmed_again(tmp_path):
     folder = tmp_path / "run"
     toy_run(folder, toy_experiment(1))
     frame = folder / "iterations/01/trial/images/1.png"
     whole = frame.read_bytes()
     frame.write_bytes(whole[:-20])
-    made, said = toy_run(folder, toy_experiment(1))
+    made, output = toy_run(folder, toy_experiment(1))
     assert made == ["execute"]
-    assert "images/1.png is damaged" in said
+    assert "images/1.png is damaged" in output
     assert frame.read_bytes() == whole
 
 
 def recorded_stages():
-    """Return stages that perform and read a trial of the sample."""
+    """Return stages that replay a trial of the sample."""
     arm, points = (
         pd.read_parquet(ROOT / "data/sample" / f"{name}.parquet").query(
             "trial == 't00'"

@@ -1,7 +1,4 @@
-"""Every setting of the help is described by itself or by its block.
-
-Numbers in a unit state it.
-"""
+"""All settings in the help have a description, and a unit where needed."""
 
 import re
 
@@ -18,7 +15,7 @@ def explained(name):
     )
 
 
-def test_every_setting_is_explained_in_the_help():
+def test_help_explains_all_settings():
     settings = flatten_settings(compose_settings())
     assert len(settings) > 130
     bare = [
@@ -29,7 +26,7 @@ def test_every_setting_is_explained_in_the_help():
     assert bare == []
 
 
-def test_lengths_times_and_angles_have_units():
+def test_settings_with_units_state_them():
     wanted = (
         "arm.links",
         "arm.base",
@@ -49,15 +46,12 @@ def test_lengths_times_and_angles_have_units():
         assert re.search(r"\[(m|s|px/m|1/s|rad/s)\]", setting_comments()[name]), name
 
 
-def test_the_reference_is_what_it_would_be_made_now():
-    """The reference page is current.
-
-    If it is not, run: python -m pipeline.settings.reference.
-    """
+def test_settings_reference_is_up_to_date():
+    """If this fails, run: python -m pipeline.settings.reference."""
     assert reference.reference_page() == reference.PAGE_FILE.read_text(encoding="utf-8")
 
 
-def test_the_reference_says_values_and_meaning():
+def test_reference_states_values_and_meanings():
     page = reference.reference_page()
     assert re.search(
         r"^    camera\.width=640 +picture width, 16 to 20000 \[px\]$", page, re.M
@@ -68,7 +62,7 @@ def test_the_reference_says_values_and_meaning():
     )
 
 
-def test_what_stands_behind_a_setting_is_its_own_meaning():
+def test_help_comments_belong_to_the_chosen_option():
     shown = help_text(["+experiment=stringB", "estimate=least_squares"])
     assert re.search(r"\n  iterations: 20 +# largest number for each start", shown)
     assert re.search(

@@ -1,4 +1,4 @@
-"""What folders bring along, and what the command line keeps for itself."""
+"""Settings inherited from folders, and their precedence."""
 
 import json
 
@@ -23,7 +23,7 @@ def model_settings(**values):
     return OmegaConf.create({"effects": ["wind"], "parameter_values": values})
 
 
-def test_the_offset_of_the_clocks_is_unknown_in_a_wider_interval_than_stated():
+def test_clock_offset_gets_a_wider_range_than_its_interval():
     merged = model_settings()
     add_clock_interval(merged, {"clock": {"low": -0.1, "high": 0.3}})
     assert merged.effects == ["wind", "time_offset"]
@@ -31,7 +31,7 @@ def test_the_offset_of_the_clocks_is_unknown_in_a_wider_interval_than_stated():
     assert offset == pytest.approx({"value": 0.1, "low": -0.2, "high": 0.4})
 
 
-def test_a_known_offset_stays_and_no_clock_adds_nothing():
+def test_given_clock_offset_is_kept():
     merged = model_settings()
     add_clock_interval(merged, {})
     assert merged == model_settings()
@@ -41,7 +41,7 @@ def test_a_known_offset_stays_and_no_clock_adds_nothing():
     assert merged == {"effects": ["time_offset"], "parameter_values": known}
 
 
-def test_a_weighed_tip_mass_is_known_to_a_thousandth():
+def test_weighed_tip_mass_has_an_interval_of_a_thousandth():
     merged = model_settings()
     add_weighed_tip_mass(merged, {"string": {"tip_mass": 0.002, "mass": 0.02}})
     assert merged.effects == ["wind", "tip_mass"]
@@ -49,7 +49,7 @@ def test_a_weighed_tip_mass_is_known_to_a_thousandth():
     assert ratio == pytest.approx({"value": 0.1, "low": 0.0999, "high": 0.1001})
 
 
-def test_a_known_tip_mass_stays_and_none_adds_nothing():
+def test_given_tip_mass_is_kept():
     merged = model_settings()
     for string in ({"length": 0.3}, {"mass": 0.02}, {"mass": 0.02, "tip_mass": 0.0}):
         add_weighed_tip_mass(merged, {"string": string})
@@ -71,9 +71,7 @@ def test_only_given_settings_are_restored():
     ("given", "length", "points"),
     [((), 0.41, 12), (("string.length=0.27",), 0.27, 12), (("seed=3",), 0.41, 12)],
 )
-def test_a_model_changes_what_it_names_and_the_command_line_wins(
-    tmp_path, given, length, points
-):
+def test_command_line_overrides_an_inherited_model(tmp_path, given, length, points):
     model = {"string": {"length": 0.41}, "effects": ["wind"]}
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(model))
     words = [f"model_from={tmp_path}", f"string.points={points}", *given]
@@ -94,15 +92,15 @@ def inherited(*words):
     return inherit_settings(config, {word.partition("=")[0] for word in words})
 
 
-def test_a_measured_camera_replaces_that_of_the_settings(tmp_path):
+def test_measured_camera_replaces_the_configured_one(tmp_path):
     (tmp_path / "camera.yaml").write_text("fps: 120.0")
     settings = inherited(f"camera_from={tmp_path}")
     assert settings["camera"] == {"fps": 120.0}
-    # what refers to another setting has its value
+    # references are resolved
     assert settings["hardware"]["specimen"] == settings["specimen"]
 
 
-def test_what_a_dataset_weighs_counts_unless_it_is_that_of_a_run(tmp_path):
+def test_weighed_masses_are_read_from_datasets_but_not_from_runs(tmp_path):
     metadata = yaml.safe_load((SAMPLE / "dataset.yaml").read_text())
     metadata["string"] |= {"mass": 0.02, "tip_mass": 0.002}
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(metadata))
@@ -111,12 +109,12 @@ def test_what_a_dataset_weighs_counts_unless_it_is_that_of_a_run(tmp_path):
     assert inherited(f"trials={tmp_path}")["effects"] == []
 
 
-def test_a_run_brings_its_blocks_as_they_are(tmp_path):
+def test_blocks_of_a_run_are_inherited_unchanged(tmp_path):
     (tmp_path / "config.json").write_text('{"camera": {"fps": 5.0}}')
     assert inherited(f"trials={tmp_path}")["camera"] == {"fps": 5.0}
 
 
-def test_a_run_brings_the_settings_that_it_states(tmp_path):
+def test_settings_of_a_run_are_inherited(tmp_path):
     (tmp_path / "config.json").write_text('{"seed": 3, "name": "x"}')
     assert settings_of_trials(tmp_path, set()) == {"seed": 3}
     string = {"length": 0.3, "points": 11}
@@ -126,18 +124,18 @@ def test_a_run_brings_the_settings_that_it_states(tmp_path):
     assert settings_of_trials(tmp_path, {"string"}) == {"string.length": 0.3}
 
 
-def test_a_dataset_brings_what_it_states_but_not_what_is_given():
+def test_given_settings_are_not_inherited_from_a_dataset():
     stored = settings_of_trials(SAMPLE, set())
     assert stored["arm.links"] == [0.25, 0.2, 0.135]
     assert stored["string.length"] == pytest.approx(0.303859, abs=1e-6)
     assert stored["camera.fps"] == 200.0
-    assert "camera.lens" not in stored  # it states none
+    assert "camera.lens" not in stored  # the dataset has none
     others = settings_of_trials(SAMPLE, {"camera.fps", "arm", "string"})
     assert stored.keys() - others.keys() == {"camera.fps", "arm.links", "arm.base"}
     assert "string.length" not in settings_of_trials(SAMPLE, {"string.length"})
 
 
-def test_an_arm_moves_only_where_the_bench_of_the_trials_is_known(tmp_path):
+def test_arm_moves_only_for_trials_of_a_known_arm(tmp_path):
     with pytest.raises(UserError, match="does not state which arm"):
         refuse_unknown_bench(SAMPLE, {"seed"})
     refuse_unknown_bench(SAMPLE, {"hardware"})
@@ -145,7 +143,7 @@ def test_an_arm_moves_only_where_the_bench_of_the_trials_is_known(tmp_path):
     refuse_unknown_bench(tmp_path, set())
 
 
-def test_inputs_are_read_in_the_run_and_in_its_trials_only(tmp_path):
+def test_only_inputs_in_the_run_and_its_trials_are_read(tmp_path):
     run = tmp_path / "run"
     (run / "iterations/01/trial").mkdir(parents=True)
     (run / "iterations/01/trial/0.png").write_bytes(b"a")
@@ -161,7 +159,7 @@ def test_inputs_are_read_in_the_run_and_in_its_trials_only(tmp_path):
     assert [*input_hashes(run, names, str(SAMPLE))] == [names[0], names[3]]
 
 
-def test_of_the_trials_only_folders_of_frames_are_read(tmp_path):
+def test_only_frame_folders_of_a_dataset_are_read(tmp_path):
     films = tmp_path / "data" / "films"
     films.mkdir(parents=True)
     (films / "0.png").write_bytes(b"a")

@@ -1,6 +1,6 @@
-"""Ctrl-C while a stage works.
+"""Ctrl-C during a stage.
 
-Its results so far are kept and shown, and made again when the run continues.
+Preliminary results are stored and shown, and recomputed when the run continues.
 """
 
 import ctypes
@@ -27,11 +27,8 @@ from tests.pipeline.small import about
 
 
 @pytest.fixture(autouse=True)
-def heard():
-    """Handle SIGINT as in a terminal.
-
-    A process that a shell starts in the background ignores it.
-    """
+def handle_interrupts():
+    """Handle SIGINT as in a terminal; background processes ignore it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -39,12 +36,12 @@ def heard():
 
 @pytest.fixture(autouse=True)
 def clocks_are_together(monkeypatch):
-    """Spare each run the estimate of the clocks, which takes 5 s; others test it."""
+    """Skip the test of clocks, which takes 5 s."""
     place = "stringcast.pipeline.modes.diagnose.refuse_unlike_clocks"
     monkeypatch.setattr(place, lambda *given: None)
 
 
-def performed(trials, folder, diagnose):
+def run_diagnosis(trials, folder, diagnose):
     here = about(trials, "+experiment=diagnose", "saved_outputs=[]")
     here = replace(here, stages={**here.stages, "diagnose": diagnose})
     console = Terminal(record=True, file=open(os.devnull, "w"), width=200)  # noqa: SIM115
@@ -55,7 +52,7 @@ def performed(trials, folder, diagnose):
     return console.export_text()
 
 
-def said(**more):
+def diagnosis(**more):
     text = {
         "trials": {"rejected": {}},
         "causes": [],
@@ -74,44 +71,50 @@ def said(**more):
     )
 
 
-def whole(*given, **more) -> Diagnosis:
+def finished_diagnosis(*given, **more) -> Diagnosis:
     """Return a finished diagnosis."""
-    return said(interrupted=False)
+    return diagnosis(interrupted=False)
 
 
-def patient(*given, **more) -> Diagnosis:
+def handle_interrupt_in_diagnosis(*given, **more) -> Diagnosis:
     """Return an unfinished diagnosis when interrupted."""
     try:
         signal.raise_signal(signal.SIGINT)
     except InterruptRequest:
-        return said(interrupted=True)
+        return diagnosis(interrupted=True)
     raise AssertionError("nobody interrupted it")
 
 
-def hasty(*given, **more) -> Diagnosis:
-    """Let the interruption pass."""
+def ignore_interrupt_in_diagnosis(*given, **more) -> Diagnosis:
+    """Do not handle an interrupt."""
     signal.raise_signal(signal.SIGINT)
     raise AssertionError("nobody interrupted it")
 
 
-def test_what_a_step_knew_is_kept_and_made_again(sample_trial, tmp_path):
-    assert performed(sample_trial, tmp_path, patient).startswith("interrupted")
+def test_preliminary_result_is_stored_and_recomputed(sample_trial, tmp_path):
+    assert run_diagnosis(
+        sample_trial, tmp_path, handle_interrupt_in_diagnosis
+    ).startswith("interrupted")
     assert (tmp_path / "diagnosis.json").exists()
     assert not (tmp_path / SUMMARY_FILE).exists()
-    shown = performed(sample_trial, tmp_path, whole)
+    shown = run_diagnosis(sample_trial, tmp_path, finished_diagnosis)
     assert "recomputing" in shown
     assert "it was interrupted" in shown
     assert (tmp_path / SUMMARY_FILE).exists()
-    assert "recomputing" not in performed(sample_trial, tmp_path, whole)
+    assert "recomputing" not in run_diagnosis(
+        sample_trial, tmp_path, finished_diagnosis
+    )
 
 
-def test_a_stage_that_knows_nothing_leaves_nothing(sample_trial, tmp_path):
-    assert performed(sample_trial, tmp_path, hasty).startswith("interrupted")
+def test_interrupted_stage_without_a_result_stores_nothing(sample_trial, tmp_path):
+    assert run_diagnosis(
+        sample_trial, tmp_path, ignore_interrupt_in_diagnosis
+    ).startswith("interrupted")
     assert not (tmp_path / "diagnosis.json").exists()
     assert not list((tmp_path / "iterations").rglob("diagnosis"))
 
 
-def test_only_the_first_asks_for_an_end_and_only_meanwhile():
+def test_second_interrupt_raises_keyboard_interrupt():
     before = signal.getsignal(signal.SIGINT)
     with stop_stage_on_interrupt():
         with pytest.raises(InterruptRequest):
@@ -123,51 +126,51 @@ def test_only_the_first_asks_for_an_end_and_only_meanwhile():
 
 
 @ctypes.CFUNCTYPE(None)
-def press_in_a_callback_from_c():
-    """Press Ctrl-C where LLVM calls back: Python ignores what is raised here."""
+def interrupt_in_callback():
+    """Press Ctrl-C in a callback like LLVM's, where Python ignores exceptions."""
     signal.raise_signal(signal.SIGINT)
 
 
-def press_and_work():
-    press_in_a_callback_from_c()
-    for _ in range(100):  # Python hears of a signal between two sleeps
+def interrupt_and_sleep():
+    interrupt_in_callback()
+    for _ in range(100):  # Python handles signals between two sleeps
         time.sleep(0.05)
 
 
 @pytest.fixture
-def ignored(monkeypatch):
-    """Collect what Python ignores, and send ignored interrupts again."""
+def unraisable(monkeypatch):
+    """Collect ignored exceptions, and repeat ignored interrupts."""
     others = []
     monkeypatch.setattr(sys, "unraisablehook", others.append)
     repeat_ignored_interrupts()
     return others
 
 
-def test_an_interrupt_that_python_ignored_is_sent_again(ignored):
+def test_ignored_interrupt_is_repeated(unraisable):
     with pytest.raises(KeyboardInterrupt):
-        press_and_work()
-    assert not ignored
+        interrupt_and_sleep()
+    assert not unraisable
 
 
-def test_a_stage_hears_of_an_interrupt_that_python_ignored(ignored):
+def test_ignored_interrupt_stops_the_stage(unraisable):
     with stop_stage_on_interrupt():
         with pytest.raises(InterruptRequest):
-            press_and_work()
+            interrupt_and_sleep()
         with pytest.raises(KeyboardInterrupt) as raised:
-            press_and_work()
+            interrupt_and_sleep()
         assert raised.type is KeyboardInterrupt
 
 
-def test_other_errors_that_python_ignores_are_left_to_it(ignored):
+def test_other_ignored_errors_reach_the_default_hook(unraisable):
     def fail():
         raise ValueError
 
     ctypes.CFUNCTYPE(None)(fail)()
     time.sleep(0.1)
-    assert [one.exc_type for one in ignored] == [ValueError]
+    assert [one.exc_type for one in unraisable] == [ValueError]
 
 
-def test_where_signals_are_ignored_they_stay_so():
+def test_ignored_signals_stay_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with stop_stage_on_interrupt():
@@ -177,7 +180,7 @@ def test_where_signals_are_ignored_they_stay_so():
         signal.signal(signal.SIGINT, before)
 
 
-def test_in_another_thread_it_does_nothing():
+def test_other_threads_do_not_handle_signals():
     seen = []
 
     def work():

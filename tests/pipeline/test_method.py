@@ -1,4 +1,4 @@
-"""The paper's experiments are cast by the paper's method or by the robust one."""
+"""The setting `method`, and the printed summary of a run."""
 
 import io
 import re
@@ -20,7 +20,7 @@ def parts(settings):
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_an_experiment_of_the_paper_takes_either_method(name):
+def test_experiments_of_the_paper_accept_both_methods(name):
     plain, robust = (
         compose_settings([f"+experiment={name}", *method])
         for method in ([], ["method=robust"])
@@ -44,17 +44,14 @@ def test_an_experiment_of_the_paper_takes_either_method(name):
 @pytest.mark.parametrize(
     "words", [[], ["target.x=0.45", "seed=3"], ["effects=[tip_mass]"], ["specimen=D"]]
 )
-def test_a_plain_cast_is_the_robust_one(words):
+def test_default_method_is_robust(words):
     plain = compose_settings(words)
     assert parts(plain) == ["robust", "least_squares", 5]
     assert plain == compose_settings([*words, "method=robust"])
 
 
-def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
-    """A text to be pasted is on one line of any terminal.
-
-    A path that the terminal's width breaks cannot be pasted.
-    """
+def test_paths_are_not_wrapped(tmp_path):
+    """A wrapped path cannot be pasted."""
     folder = tmp_path / ("a-long-name-of-a-folder-" * 4)
     out = Terminal(file=io.StringIO(), width=80)
     print_summary(RunResult(folder, (), "The tip reached the target."), out)
@@ -63,28 +60,25 @@ def test_what_can_be_pasted_is_on_one_line_of_any_terminal(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "said",
+    "outcome",
     [
         "The tip reached the target.",
         "Dry run: " + "a sentence that is longer than a line " * 3,
     ],
 )
-def test_what_a_run_says_is_not_cut(tmp_path, said):
+def test_outcome_of_a_run_is_printed_in_full(tmp_path, outcome):
     out = Terminal(file=io.StringIO(), width=80)
     print_summary(
-        RunResult(tmp_path, (), f"{said.strip()}. Nothing is learned from it."), out
+        RunResult(tmp_path, (), f"{outcome.strip()}. Nothing is learned from it."), out
     )
     shown = " ".join(re.sub("[│╭╮╰╯─]", " ", out.file.getvalue()).split())
-    assert f"{said.strip()}" in shown
+    assert f"{outcome.strip()}" in shown
     assert "Nothing is learned from it." in shown
     assert "cast" not in shown.partition(str(tmp_path))[0], "a heading without rows"
 
 
-def test_packages_are_installed_for_the_interpreter_that_lacks_them():
-    """Packages are installed for the interpreter that lacks them.
-
-    `pip` alone may belong to another interpreter.
-    """
-    said = with_program_name("h5py is needed: pip install h5py")
-    assert re.fullmatch(r"h5py is needed: \S*python\S* -m pip install h5py", said)
-    assert with_program_name(said) == said
+def test_pip_commands_name_the_running_interpreter():
+    """`pip` alone may belong to another interpreter."""
+    outcome = with_program_name("h5py is needed: pip install h5py")
+    assert re.fullmatch(r"h5py is needed: \S*python\S* -m pip install h5py", outcome)
+    assert with_program_name(outcome) == outcome

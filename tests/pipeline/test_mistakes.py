@@ -1,4 +1,4 @@
-"""Mistyped commands are answered by one line, with the command to paste."""
+"""Mistakes on the command line are answered with one line and the correct command."""
 
 import re
 import shlex
@@ -50,7 +50,7 @@ MEANT = {
 
 
 @pytest.mark.parametrize(("typed", "meant"), MEANT.items(), ids=MEANT)
-def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
+def test_mistakes_are_answered_with_the_intended_command(typed, meant):
     with pytest.raises(
         UserError, match=f"Try: \\S*python\\S* -m pipeline {re.escape(meant)}$"
     ) as refused:
@@ -58,12 +58,12 @@ def test_a_mistake_is_answered_by_what_was_meant(typed, meant):
     assert "\n" not in str(refused.value)
 
 
-def test_a_colon_is_not_said_twice():
+def test_colon_is_not_repeated():
     with pytest.raises(UserError, match=r"^seed: write name and value together\."):
         refuse_mistakes(["seed:", "3"])
 
 
-def test_what_nothing_is_like_says_what_there_is():
+def test_unrecognised_words_list_the_alternatives():
     with pytest.raises(UserError, match=r"neither a command .*check.* nor a setting"):
         refuse_mistakes(["xyzzy"])
     with pytest.raises(
@@ -90,11 +90,11 @@ def test_what_nothing_is_like_says_what_there_is():
             refuse_mistakes([word])
 
 
-@pytest.mark.parametrize("given", sorted({given for _, given in CALLS}))
-def test_what_pages_show_is_no_mistake(given, plugin):
-    fill_plugin(plugin, given)
-    if given.partition(" ")[0] not in COMMAND_NAMES:
-        refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", given)))
+@pytest.mark.parametrize("call", sorted({call for _, call in CALLS}))
+def test_commands_on_pages_are_accepted(call, plugin):
+    fill_plugin(plugin, call)
+    if call.partition(" ")[0] not in COMMAND_NAMES:
+        refuse_mistakes(shlex.split(PLACEHOLDER.sub("place", call)))
 
 
 @pytest.mark.parametrize(
@@ -111,11 +111,11 @@ def test_what_pages_show_is_no_mistake(given, plugin):
         "source@plane=video",
         "hydra/launcher=joblib",
         "+specimen.hidden.wind.along_x=1",
-        # longer than a file's name may be
+        # longer than a file name may be
         f"diagnose.excluded_effects=[{','.join(30 * ['grasp_play'])}]",
     ],
 )
-def test_what_is_right_is_left_alone(word):
+def test_correct_words_are_accepted(word):
     refuse_mistakes([word])
 
 
@@ -131,24 +131,24 @@ def test_what_is_right_is_left_alone(word):
         "-cd settings target=mine",
     ],
 )
-def test_options_of_hydra_are_handed_on(words):
+def test_options_of_hydra_are_accepted(words):
     refuse_mistakes(words.split())
 
 
-def test_an_option_of_hydra_hides_no_mistake_behind_it():
+def test_mistakes_after_an_option_of_hydra_are_found():
     with pytest.raises(UserError, match=r"Try: .* --cfg job seed=3$"):
         refuse_mistakes(["--cfg", "job", "sed=3"])
     with pytest.raises(UserError, match=r"Try: .* --info seed=3$"):
         refuse_mistakes(["--info", "sed=3"])
 
 
-def test_an_arm_without_a_driver_is_answered_by_how_to_begin_one():
+def test_unknown_hardware_is_answered_with_the_command_new():
     with pytest.raises(UserError, match="new arm ur5 writes the settings") as refused:
         refuse_mistakes(["hardware=ur5"])
     assert "there are dynamixel, emulator, serial, virtual" in str(refused.value)
 
 
-def test_quotes_that_a_shell_of_windows_hands_on_are_taken_away():
+def test_quotes_kept_by_windows_shells_are_removed():
     typed = "check 'my folder' 'effects=[tip_mass]' '+a={value: 1,' 'low: 2}'"
     assert join_quoted(typed.split(" ")) == [
         "check",
@@ -161,33 +161,33 @@ def test_quotes_that_a_shell_of_windows_hands_on_are_taken_away():
     assert join_quoted(untouched) == untouched
 
 
-def test_a_path_with_blanks_is_taken_and_one_with_commas_is_quoted(tmp_path):
+def test_paths_with_blanks_work_and_those_with_commas_need_quotes(tmp_path):
     plain, odd = tmp_path / "my trials", tmp_path / "my, trials (1)"
     plain.mkdir()
     odd.mkdir()
-    given = "+experiment=diagnose"
-    refuse_mistakes([given, f"trials={plain}"])
+    call = "+experiment=diagnose"
+    refuse_mistakes([call, f"trials={plain}"])
     with pytest.raises(UserError, match="quotes of its own") as refused:
-        refuse_mistakes([given, f"trials={odd}"])
+        refuse_mistakes([call, f"trials={odd}"])
     *_, quoted = shlex.split(str(refused.value))
-    refuse_mistakes([given, quoted])
-    assert compose_settings([given, quoted])["trials"] == str(odd)
-    assert compose_settings([given, f"trials={plain}"])["trials"] == str(plain)
+    refuse_mistakes([call, quoted])
+    assert compose_settings([call, quoted])["trials"] == str(odd)
+    assert compose_settings([call, f"trials={plain}"])["trials"] == str(plain)
 
 
-def test_letters_beyond_ascii_are_answered_by_the_word_in_quotes(called):
-    done = called("+experiment=quick", "name=Jörg")
-    assert done.returncode == 1
+def test_words_beyond_ascii_are_answered_with_quotes(called):
+    result = called("+experiment=quick", "name=Jörg")
+    assert result.returncode == 1
     assert re.search(
         r"""^Error: name=Jörg: .*Try: \S+ -m \w+ \+experiment=quick 'name="Jörg"'$""",
-        done.stderr.strip(),
+        result.stderr.strip(),
     )
 
 
-def test_several_values_are_answered_by_a_sweep_of_them(called):
-    done = called("method=paper,robust", "seed=1")
-    assert done.returncode == 1
+def test_several_values_are_answered_with_a_sweep(called):
+    result = called("method=paper,robust", "seed=1")
+    assert result.returncode == 1
     assert re.search(
         r"method=paper,robust: .*Try: \S+ -m \w+ --multirun method=paper,robust seed=1$",
-        done.stderr.strip(),
+        result.stderr.strip(),
     )

@@ -1,7 +1,4 @@
-"""Output of `new` and `template` works without changes.
-
-Settings compose, an effect keeps its own laws, and a dataset is read.
-"""
+"""Output of `new` and `template` works without changes."""
 
 import re
 
@@ -30,9 +27,7 @@ from tests.laws.test_effects import law_of, samples
 @pytest.mark.parametrize(
     ("kind", "made", "like"), [("arm", Arm, "paper"), ("camera", Camera, "highspeed")]
 )
-def test_an_arm_and_a_camera_of_ones_own_are_settings_with_what_they_mean(
-    kind, made, like
-):
+def test_new_arm_and_camera_are_commented_settings(kind, made, like):
     ((path, text),) = new.FILES_OF_KIND[kind]("mine", "my_lab")[0].items()
     assert path == f"conf/{kind}/mine.yaml"
     assert yaml.safe_load(text) == yaml.safe_load(
@@ -42,7 +37,7 @@ def test_an_arm_and_a_camera_of_ones_own_are_settings_with_what_they_mean(
     assert text.count("[m]") + text.count("[px]") >= 2
 
 
-def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(plugin):
+def test_new_effect_is_found_and_satisfies_its_invariants(plugin):
     assert new.main(["effect", "my_pull", "--to", str(plugin)]) == 0
     effect = effects_by_name()["my_pull"]
     assert effect.__name__ == "MyPull"
@@ -55,13 +50,13 @@ def test_an_effect_of_ones_own_is_found_and_keeps_its_laws(plugin):
     np.testing.assert_allclose(effect.acceleration(0.5), (0.5, 0.0))
     axes = Figure().add_subplot()
     effect.plot(axes, {"strength": 0.25})
-    # each is drawn with a line at zero
+    # each curve has a line at zero
     assert [drawn.get_ydata()[0] for drawn in axes.lines[::2]] == [0.25, 0.0]
     with pytest.raises(UserError, match="it is there already"):
         new.main(["effect", "my_pull", "--to", str(plugin)])
 
 
-def test_an_estimator_of_ones_own_is_an_option_of_its_group(plugin):
+def test_new_estimator_is_an_option_of_its_group(plugin):
     assert new.main(["estimator", "uniform_search", "--to", str(plugin)]) == 0
     block = compose_settings(["estimate=uniform_search"])["estimate"]
     assert block["_target_"] == "plugins.my_lab.estimate.uniform_search.estimate"
@@ -69,7 +64,7 @@ def test_an_estimator_of_ones_own_is_an_option_of_its_group(plugin):
     assert bound.keywords["candidates"] == 500
 
 
-def test_files_go_to_my_lab_in_the_current_folder_and_never_into_the_package(
+def test_new_files_are_written_to_my_lab_in_the_current_folder(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -86,27 +81,25 @@ def test_files_go_to_my_lab_in_the_current_folder_and_never_into_the_package(
     ("kind", "name"),
     [("effect", "wind"), ("stage", "extract"), ("stage", "arm"), ("arm", "paper")],
 )
-def test_names_of_the_package_are_taken(kind, name, tmp_path):
+def test_names_of_the_package_are_refused(kind, name, tmp_path):
     with pytest.raises(UserError, match="it is there already"):
         new.main([kind, name, "--to", str(tmp_path / "my_lab")])
     assert not (tmp_path / "my_lab").exists()
 
 
-def test_a_folder_that_is_no_name_of_a_package_is_refused():
+def test_invalid_package_folder_is_refused():
     with pytest.raises(UserError, match=r"Try: .* new arm mine --to my_lab$"):
         new.main(["arm", "mine", "--to", "My-Lab"])
 
 
 @pytest.mark.parametrize("name", ["My Arm", "1st", "class", "../up"])
-def test_what_is_no_name_is_answered_by_one(name):
+def test_invalid_name_is_answered_with_a_valid_one(name):
     with pytest.raises(UserError, match=r"Try: .* new arm [a-z_]+ --to my_lab$"):
         new.main(["arm", name])
 
 
 @pytest.mark.parametrize(("words", "hand"), [([], "arm"), (["--poses"], "grasp")])
-def test_a_template_is_a_dataset_as_soon_as_it_is_filled_in(
-    tmp_path, words, hand, capsys
-):
+def test_filled_template_is_a_dataset(tmp_path, words, hand, capsys):
     folder = tmp_path / "mine"
     assert template.main([str(folder), *words]) == 0
     assert "check" in capsys.readouterr().out

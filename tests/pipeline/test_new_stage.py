@@ -1,7 +1,4 @@
-"""A stage is one folder and one group of settings in a folder of one's own.
-
-As `new stage` writes it, it is found, run, kept and shown.
-"""
+"""A stage written by `new stage` runs, is stored and is reported."""
 
 import inspect
 import json
@@ -26,15 +23,13 @@ ASKED = (
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """Return a folder outside the clone with the stage."""
+    """Return a plugin with the stage, outside the clone."""
     folder = tmp_path_factory.mktemp("site") / "my_lab"
     assert new.main(["stage", "sway", "--to", str(folder)]) == 0
     return folder
 
 
-def test_a_new_stage_is_a_folder_and_a_group_of_settings(
-    lab, called, undrawn, tmp_path, monkeypatch
-):
+def test_new_stage_runs_and_is_reported(lab, called, undrawn, tmp_path, monkeypatch):
     run = tmp_path / "run"
     monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
     done = called(*ASKED, f"hydra.run.dir={run}")
@@ -55,12 +50,8 @@ def test_a_new_stage_is_a_folder_and_a_group_of_settings(
     assert "sway.least 0.0 -> 0.001" in called("why", run).stdout
 
 
-def test_every_stage_says_what_is_so():
-    """The declarations of every stage are true.
-
-    Their function names exist, a stage takes the inputs it declares, and the settings
-    it uses exist.
-    """
+def test_declarations_of_all_stages_are_true():
+    """Functions and settings exist, and functions take the declared inputs."""
     settings, folders = compose_settings(), {}
     for name, stage in stages().items():
         run = load_object(stage.run)
@@ -73,7 +64,7 @@ def test_every_stage_says_what_is_so():
         )
 
 
-def test_its_settings_are_checked_like_any_other(lab, called, tmp_path, monkeypatch):
+def test_settings_of_a_new_stage_are_checked(lab, called, tmp_path, monkeypatch):
     monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
     refused = called(*ASKED, "sway.least=-1", f"hydra.run.dir={tmp_path / 'run'}")
     assert refused.returncode == 1

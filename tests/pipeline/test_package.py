@@ -1,7 +1,4 @@
-"""The folders of a clone are one package.
-
-A wheel holds all of it, installs nothing else, and runs anywhere.
-"""
+"""The folders of a clone are one package; its wheel is complete and runs anywhere."""
 
 import ast
 import os
@@ -30,11 +27,11 @@ LEFT_OUT = (
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """Return a folder in which the wheel is unpacked, as in site-packages."""
+    """Return a folder with the unpacked wheel, as in site-packages."""
     folder = tmp_path_factory.mktemp("wheel")
     clone = folder / "clone"
     subprocess.run(["git", "clone", "-q", ROOT, clone], check=True)
-    made = [
+    pip_wheel = [
         "pip",
         "wheel",
         "-q",
@@ -45,12 +42,12 @@ def site(tmp_path_factory):
         folder,
         clone,
     ]
-    subprocess.run([sys.executable, "-m", *made], check=True)
+    subprocess.run([sys.executable, "-m", *pip_wheel], check=True)
     zipfile.ZipFile(next(folder.glob("*.whl"))).extractall(folder / "site")
     return folder / "site"
 
 
-def test_all_that_a_clone_holds_is_in_the_one_package(site):
+def test_wheel_holds_all_files_of_the_clone(site):
     assert {
         path.name for path in site.iterdir() if not path.name.endswith(".dist-info")
     } == {
@@ -69,13 +66,9 @@ def test_all_that_a_clone_holds_is_in_the_one_package(site):
     assert [name for name in wanted if not (site / "stringcast" / name).is_file()] == []
 
 
-def test_what_is_installed_runs_in_any_folder(site, tmp_path):
-    """The installed package runs in any folder.
-
-    It stands ahead of this clone on the path. Settings compose from it, a command
-    answers, and no folder of ours is needed.
-    """
-    where = os.environ | {
+def test_installed_package_runs_in_any_folder(site, tmp_path):
+    """It precedes this clone on the path, and needs no folder of the clone."""
+    environment = os.environ | {
         "PYTHONPATH": str(site),
         "STRINGCAST_CACHE": str(tmp_path / "kernels"),
     }
@@ -88,26 +81,26 @@ def test_what_is_installed_runs_in_any_folder(site, tmp_path):
         *(sys.executable, "-c", code),
         *("target.x=2", f"hydra.run.dir={tmp_path / 'run'}"),
     ]
-    done = subprocess.run(
-        call, cwd=tmp_path, env=where, capture_output=True, text=True, check=False
+    result = subprocess.run(
+        call, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
-    assert done.stdout.split() == [
+    assert result.stdout.split() == [
         stringcast.__version__,
         str(site / "stringcast" / "__init__.py"),
         "5",
     ]
-    assert done.returncode == 1
-    assert done.stderr.startswith("Error: ")
-    assert "target.x" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert result.returncode == 1
+    assert result.stderr.startswith("Error: ")
+    assert "target.x" in result.stderr
+    assert "Traceback" not in result.stderr
 
 
-def test_only_an_arm_needs_pyserial_and_says_so(tmp_path):
-    """Without the extra `lab`, all that drives no arm is there."""
+def test_pyserial_is_needed_for_an_arm_only(tmp_path):
+    """Without the extra `lab`, everything except arms works."""
     (tmp_path / "sitecustomize.py").write_text(
         "import sys\nsys.modules.update(serial=None)\n"
     )
-    where = os.environ | {
+    environment = os.environ | {
         "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
     }
     code = (
@@ -118,19 +111,24 @@ def test_only_an_arm_needs_pyserial_and_says_so(tmp_path):
         "except sc.StringcastError as error:\n    print(error)"
     )
     python = [sys.executable, "-c", code]
-    options = {"cwd": tmp_path, "env": where, "capture_output": True, "text": True}
-    done = subprocess.run(python, **options, check=False)
-    count, error = done.stdout.splitlines()
+    options = {
+        "cwd": tmp_path,
+        "env": environment,
+        "capture_output": True,
+        "text": True,
+    }
+    result = subprocess.run(python, **options, check=False)
+    count, error = result.stdout.splitlines()
     assert count == "5"
     assert 'pip install "stringcast[lab]"' in error
 
 
-def test_versions_name_packages_that_are_absent():
+def test_missing_packages_have_the_version_absent():
     assert package_version("no-such-package") == "absent"
     assert package_version("numpy")[0].isdigit()
 
 
-def test_the_release_says_what_an_index_and_a_citation_need():
+def test_release_metadata_are_complete():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     core = {re.match(r"[\w-]+", line)[0] for line in project["dependencies"]}
     assert "pyserial" not in core
@@ -143,13 +141,13 @@ def test_the_release_says_what_an_index_and_a_citation_need():
     assert missing == []
 
 
-def test_the_wheel_is_small(site):
+def test_wheel_is_small(site):
     (wheel,) = site.parent.glob("*.whl")
     assert wheel.stat().st_size < 1.5e6
     assert (site / "stringcast" / "py.typed").is_file()
 
 
-def test_the_clone_runs_as_itself_and_not_as_another(tmp_path):
+def test_clone_refuses_the_package_of_another_clone(tmp_path):
     for name in ("pipeline/__init__.py", "pipeline/__main__.py"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
@@ -164,18 +162,15 @@ def test_the_clone_runs_as_itself_and_not_as_another(tmp_path):
     )
 
 
-def test_rooms_are_imported_by_the_name_of_the_package_alone():
-    """Rooms are imported by the name of the package alone.
-
-    `stages.model` and `stringcast.stages.model` would be two modules of one file.
-    """
+def test_rooms_are_imported_only_through_the_package():
+    """`stages.model` and `stringcast.stages.model` would be two modules of one file."""
     rooms = "|".join(ROOMS)
     import_of_a_room = re.compile(rf"^\s*(from|import)\s(.*,)?\s*({rooms})\b", re.M)
     for file in [
         path for room in (*ROOMS, "tests") for path in (ROOT / room).rglob("*.py")
     ]:
         text = file.read_text(encoding="utf-8")
-        # to parse a file takes long
+        # parsing a file is slow
         tree = ast.parse(text if import_of_a_room.search(text) else "")
         for node in ast.walk(tree):
             named = [node.module] if isinstance(node, ast.ImportFrom) else []

@@ -1,9 +1,9 @@
-"""Every command of every page is run and does what the page says.
+"""All commands on pages run and do what the page states.
 
-Commands of a second or two that no other test runs are run by default, all others by
-`test --all`. Where the page's own command takes over ten minutes it is run at a smaller
-size, as `less` says. Commands that are run by another test, or need a device, a person
-or another machine, stand in one list with the reason: `pytest -rs` prints it.
+Quick commands that no other test runs are run by default, all others by `test --all`.
+Commands of over ten minutes are run with smaller settings (`less`). Commands that
+another test runs, or that need a device, a person or another machine, are listed with
+the reason; `pytest -rs` prints it.
 """
 
 import os
@@ -40,11 +40,11 @@ PAPER = (
 
 @dataclass(frozen=True)
 class Run:
-    """A way to run a command of a page.
+    """How to run a command of a page, and what to expect.
 
-    `says` is a pattern of what it prints. `leaves` are files of its folder. `rows` is
-    the number of rows of a table there. `less` are words that make it smaller. `of`
-    replaces outputs/... . `long` means over 20 s, or run by default elsewhere.
+    says: pattern in the output. leaves: files in its folder. rows: a table there and
+    its number of rows. less: settings that make it smaller. of: replaces outputs/... .
+    long: over 20 s, or run by default elsewhere.
     """
 
     says: str = ""
@@ -111,7 +111,7 @@ RUN = {
     "pipeline +experiment=calibrate source=video source.path=tilted.mp4 plane.folder=flat": Run(
         leaves=("report.html", "camera.yaml", "calibration"), of="pictures"
     ),
-    # Sweeps, whose jobs take about half a minute each.
+    # Sweeps; a job takes about half a minute.
     "pipeline --multirun method=paper estimate.beta=0.99,0.995 target=at_300_900,at_400_700 seed=0,1,2": Run(
         leaves=("report.html", "ledger"), rows=("sweep.parquet", 12)
     ),
@@ -136,7 +136,7 @@ RUN = {
     "pipeline +experiment=paper 'seed=range(3)'": Run(
         leaves=PAPER, rows=("runs.parquet", 3), less="name=A_300_900"
     ),  # 3 of 45 runs
-    # Studies, which take hours each.
+    # Studies; each takes hours.
     "tasks.py study diagnosis diagnosis.simulator=nodal seed=100": Run(
         "cause found",
         ("diagnoses.parquet", "rates.parquet"),
@@ -148,34 +148,38 @@ RUN = {
         r"2064 frames: 7\d\.\d% read, 0\.\d+% wrong",
         ("shares.parquet", "frames.parquet"),
     ),
-    # Commands that overwrite recorded files run in a copy of the project.
+    # Commands that overwrite stored files run in a copy of the project.
     "tests.convergence.table": Run(r"\| A \| 3 \| semi_implicit_euler \|"),
-    # Commands with a folder of one's own.
+    # Commands with a plugin.
     "pipeline 'plugins=[my_lab]' +experiment=quick 'effects=[side_pull]' estimate=uniform_search": Run(
         **CAST, of="my_lab"
     ),
     "pipeline 'plugins=[my_lab]' +sway=plain mode=batch mode.stage=sway trials=data/sample": Run(
         "The tip moves by at most", ("report.html",), of="my_lab", long=False
     ),
-    # Commands about files on the disk.
+    # Commands on stored runs.
     "pipeline graph +experiment=stringB": Run("estimate: takes trial of execute"),
     "pipeline index --to runs.parquet": Run(r"run +ended as +casts"),
 }
-TEN_MINUTES = "tests/pipeline/test_readme_commands.py::test_the_first_ten_minutes_go_as_the_page_says"
-SHORT = "tests/pipeline/test_readme_commands.py::test_short_commands_do_what_the_front_page_says"
-ELSEWHERE = {  # the test that runs the command, or why none can
+TEN_MINUTES = (
+    "tests/pipeline/test_readme_commands.py::test_first_ten_minutes_run_as_on_the_page"
+)
+SHORT = (
+    "tests/pipeline/test_readme_commands.py::test_short_commands_of_the_front_page_work"
+)
+ELSEWHERE = {  # command: the test that runs it, or why no test can
     "pipeline import robot_*.csv tracker_*.csv --to mine --length 304mm --links 0.25,0.20,0.135 --base 0.2,0.2": "tests/"
     "importing/test_import.py::test_robot_and_tracker_logs_become_a_dataset",
     "pipeline import data/tutorial/robot_*.csv data/tutorial/tracker_*.csv --to mine --length 282mm "
     "--links 0.25,0.20,0.135 --base 0.2,0.2": "tests/importing/test_import.py::test_import_of_the_tutorial_prints_what_its_page_shows",
     "pipeline check mine --report check.html": "tests/checking/test_check.py::test_a_page_shows_measurements_and_findings",
-    "pipeline new stage sway": "tests/pipeline/test_new_stage.py::test_a_new_stage_is_a_folder_and_a_group_of_settings",
+    "pipeline new stage sway": "tests/pipeline/test_new_stage.py::test_new_stage_runs_and_is_reported",
     "pipeline check mine": TEN_MINUTES,
     "pipeline check wrong": TEN_MINUTES,
     "pipeline check data/sample": SHORT,
     "pipeline board board.pdf": SHORT,
     "pipeline --help": SHORT,
-    "pipeline.settings.reference": "would write over the page: tests/pipeline/test_help.py::test_the_reference_is_what_it_would_be_made_now",
+    "pipeline.settings.reference": "would write over the page: tests/pipeline/test_help.py::test_settings_reference_is_up_to_date",
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
     "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
     "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_drawing.py",
@@ -183,7 +187,7 @@ ELSEWHERE = {  # the test that runs the command, or why none can
     "tasks.py study diagnosis": "takes days; as with a seed",
     "pipeline new effect side_pull": "tests/pipeline/test_new.py",
     "pipeline new estimator uniform_search": "tests/pipeline/test_new.py",
-    "pipeline why outputs/...": "with a folder of one's own: tests/pipeline/test_plugins.py::test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired",
+    "pipeline why outputs/...": "with a folder of one's own: tests/pipeline/test_plugins.py::test_plugin_effect_stage_and_estimator_take_part_in_a_run",
     "stringcast.stages.model.engine.print_loop [EFFECT ...]": "tests/laws/test_generated_loop.py",
     "pytest tests/laws/test_effects.py": "is one of the tests",
     "tasks.py test --all": "is what runs this",
@@ -230,14 +234,14 @@ ELSEWHERE = {  # the test that runs the command, or why none can
 
 
 def shown_commands():
-    """Return every command of every page as printed, without comments behind a #."""
+    """Return all commands on pages, without comments."""
     return {
         f"{found[1]} {found[2].partition(' #')[0].strip()}".strip()
         for _, found in find_in_code(COMMAND)
     }
 
 
-def test_every_command_of_every_page_is_run_or_it_is_said_why_not():
+def test_all_commands_on_pages_are_run_or_excused():
     known = {*RUN, *ELSEWHERE}
     assert shown_commands() - known == set(), "shown by a page, and run nowhere"
     assert known - shown_commands() == set(), "shown by no page any more"
@@ -245,7 +249,7 @@ def test_every_command_of_every_page_is_run_or_it_is_said_why_not():
 
 
 @pytest.mark.parametrize("command", ELSEWHERE)
-def test_what_is_run_elsewhere_or_nowhere(command):
+def test_commands_run_by_other_tests_or_not_at_all(command):
     reason = ELSEWHERE[command]
     for file, name in re.findall(r"(tests/[\w/]+\.py)(?:::(\w+))?", reason):
         assert f"def {name}" in (ROOT / file).read_text()
@@ -254,25 +258,22 @@ def test_what_is_run_elsewhere_or_nowhere(command):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Return a folder in which `made` makes runs once for all tests."""
+    """Return a folder for inputs that all tests share."""
     return tmp_path_factory.mktemp("pages")
 
 
 def run_shown(words, cwd=ROOT):
     """Return the command's exit status and output, in one line."""
-    around = os.environ | {"PYTHONPATH": str(cwd / ".package")}
+    environment = os.environ | {"PYTHONPATH": str(cwd / ".package")}
     command = [sys.executable, "-m", *words]
     done = subprocess.run(
-        command, cwd=cwd, env=around, capture_output=True, text=True, check=False
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
     return done.returncode, " ".join((done.stdout + done.stderr).split())
 
 
-def copied(folder):
-    """Copy the last commit of the project into a folder.
-
-    Commands that overwrite recorded files run there.
-    """
+def copy_project(folder):
+    """Copy the last commit into a folder, for commands that overwrite stored files."""
     subprocess.run(["git", "clone", "-q", ROOT, folder], check=True)
     package = folder / ".package" / "stringcast"
     package.mkdir(parents=True)
@@ -285,10 +286,7 @@ def copied(folder):
 
 
 def make_input(place, name):
-    """Make the input that a reader has before a page's command is given.
-
-    It is a cast, a diagnosis, an alignment, measurements, pictures or a plugin.
-    """
+    """Make the input of a command: a cast, a diagnosis, measurements, pictures, ..."""
     folder = place / name
     if folder.exists():
         return folder
@@ -303,8 +301,10 @@ def make_input(place, name):
         "aligned": ["+experiment=align"],
     }
     if name in words:
-        status, said = run_shown(["pipeline", *words[name], f"hydra.run.dir={folder}"])
-        assert status == 0, said
+        status, output = run_shown(
+            ["pipeline", *words[name], f"hydra.run.dir={folder}"]
+        )
+        assert status == 0, output
     elif name == "my_lab":
         for kind, of in (
             ("effect", "side_pull"),
@@ -315,12 +315,12 @@ def make_input(place, name):
     elif name == "mine":
         shutil.copytree(ROOT / "data" / "sample", folder)
     else:
-        photographed(folder)
+        render_pictures(folder)
     return folder
 
 
-def photographed(folder):
-    """Draw pictures and a film of a tilted board, and one of it in the plane."""
+def render_pictures(folder):
+    """Render pictures and a film of a tilted board, and a picture in the plane."""
     rng = np.random.default_rng(0)
     (folder / "tilted").mkdir(parents=True)
     (folder / "flat").mkdir()
@@ -334,7 +334,7 @@ def photographed(folder):
     )
     for number, image in enumerate(images):
         cv2.imwrite(str(folder / "tilted" / f"{number:02d}.png"), image)
-        for _ in range(15):  # source.every takes one picture of so many frames
+        for _ in range(15):  # `source.every` reads one of so many frames
             film.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
     film.release()
     cv2.imwrite(
@@ -343,8 +343,8 @@ def photographed(folder):
     )
 
 
-def filled(command, run, place, out):
-    """Return the words of the command, with a reader's values filled in."""
+def fill_placeholders(command, run, place, out):
+    """Return the words of the command, with placeholders replaced."""
     words = shlex.split(f"{command} {run.less}")
     needed = re.search(
         r"outputs/\.\.\.|<|tilted|outputs/gallery/|trials=mine|my_lab", command
@@ -389,18 +389,18 @@ def filled(command, run, place, out):
         for command, run in RUN.items()
     ],
 )
-def test_a_command_does_what_its_page_says(command, place, tmp_path):
+def test_commands_do_what_their_page_states(command, place, tmp_path):
     run, out = RUN[command], tmp_path / "out"
     cwd = ROOT
     if command.startswith(("tests.", "pipeline.")):
-        cwd = copied(tmp_path / "project")
-    words = filled(command, run, place, out)
+        cwd = copy_project(tmp_path / "project")
+    words = fill_placeholders(command, run, place, out)
     if command.startswith("pipeline index"):
         words.insert(2, str(make_input(place, "cast").parent))
-    status, said = run_shown(words, cwd)
-    assert status == 0, said[-3000:]
-    assert "Traceback" not in said
-    assert re.search(run.says, said), said[-3000:]
+    status, output = run_shown(words, cwd)
+    assert status == 0, output[-3000:]
+    assert "Traceback" not in output
+    assert re.search(run.says, output), output[-3000:]
     for file in run.leaves:
         assert list(out.glob(file)), f"{file} is missing; there are {os.listdir(out)}"
     table, rows = run.rows

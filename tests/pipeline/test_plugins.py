@@ -1,7 +1,7 @@
-"""Effects, stages, functions and settings in a folder of one's own.
+"""Plugins: effects, stages, functions and settings in a user's folder.
 
-Nothing of the package is edited for them, and nothing of a plugin is imported that this
-person has not named.
+They need no change of the package. Plugins that the user has not named are never
+imported.
 """
 
 import json
@@ -127,21 +127,21 @@ def lab(tmp_path_factory):
 
 @pytest.fixture
 def trials(sample_trial):
-    """Return the setting that names one trial of the sample."""
+    """Return the setting for one trial of the sample."""
     return f"trials={sample_trial}"
 
 
 @pytest.fixture
-def nobody(monkeypatch):
-    """Name no plugin; what a command names is forgotten after the test."""
+def no_named_plugin(monkeypatch):
+    """Name no plugin, and forget named ones after the test."""
     monkeypatch.setenv(PLUGINS_VARIABLE, "")
 
 
 def run_with(called, lab, run, *words):
-    """Run the command with the plugin named on it; return what it printed."""
-    ran = called(f"plugins=[{lab}]", *words, f"hydra.run.dir={run}")
-    assert ran.returncode == 0, ran.stderr
-    return ran.stdout + ran.stderr
+    """Run a command with the plugin; return its output."""
+    result = called(f"plugins=[{lab}]", *words, f"hydra.run.dir={run}")
+    assert result.returncode == 0, result.stderr
+    return result.stdout + result.stderr
 
 
 def read_table(run, name):
@@ -149,8 +149,8 @@ def read_table(run, name):
     return pd.read_parquet(run / "iterations" / "01" / "estimate" / f"{name}.parquet")
 
 
-def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
-    lab, trials, called, nobody, tmp_path
+def test_plugin_effect_stage_and_estimator_take_part_in_a_run(
+    lab, trials, called, no_named_plugin, tmp_path
 ):
     rough, smooth = tmp_path / "rough", tmp_path / "smooth"
     run_with(called, lab, rough, *ESTIMATE, trials)
@@ -165,13 +165,13 @@ def test_an_effect_a_stage_and_an_estimator_act_as_they_are_wired(
     config = json.loads((smooth / "config.json").read_text())
     config["smooth"]["window"] = 3
     (smooth / "config.json").write_text(json.dumps(config))
-    said = called("why", smooth).stdout
-    assert "smoothed: stale\n    smooth.window 41 -> 3" in said
-    assert "estimate: stale\n" in said
+    output = called("why", smooth).stdout
+    assert "smoothed: stale\n    smooth.window 41 -> 3" in output
+    assert "estimate: stale\n" in output
 
 
-def test_a_page_of_the_plugin_is_the_report_of_its_stage(
-    lab, trials, called, nobody, undrawn, tmp_path
+def test_page_of_a_plugin_becomes_the_report(
+    lab, trials, called, no_named_plugin, undrawn, tmp_path
 ):
     run = tmp_path / "run"
     run_with(called, lab, run, *SWAY, trials)
@@ -179,14 +179,14 @@ def test_a_page_of_the_plugin_is_the_report_of_its_stage(
     assert called("verify", run).returncode == 0
 
 
-def test_the_graph_shows_the_stage_of_the_plugin(lab, called, nobody):
+def test_graph_shows_the_stage_of_a_plugin(lab, called, no_named_plugin):
     words = ("+smooth=plain", "mode.stages=[generate,execute,extract,smooth,estimate]")
-    said = called("graph", f"plugins=[{lab}]", *words).stdout
-    assert "estimate: takes trial of execute, points of smooth" in said
+    output = called("graph", f"plugins=[{lab}]", *words).stdout
+    assert "estimate: takes trial of execute, points of smooth" in output
 
 
-def test_a_job_of_a_sweep_has_the_plugin(
-    lab, trials, called, nobody, undrawn, tmp_path
+def test_jobs_of_a_sweep_use_the_plugin(
+    lab, trials, called, no_named_plugin, undrawn, tmp_path
 ):
     folder = tmp_path / "sweep"
     swept = called(
@@ -202,14 +202,14 @@ def test_a_job_of_a_sweep_has_the_plugin(
     assert len(pd.read_parquet(folder / "sweep.parquet")) == 1
 
 
-def test_calls_in_python_name_a_plugin_as_the_command_line_does(lab, nobody):
+def test_python_calls_name_plugins_like_the_command_line(lab, no_named_plugin):
     words = (f"plugins=[{lab}]", "effects=[tether]", "estimate=uniform_search")
     experiment = experiment_for_call(words, None)
     assert "tether" in [effect.name for effect in experiment.model.effects]
     assert experiment.config["plugins"] == [str(lab)]
 
 
-def test_an_effect_of_a_plugin_that_is_not_named_is_told_how_to_name_it():
+def test_effect_of_an_unnamed_plugin_gives_the_setting_to_name_it():
     with pytest.raises(
         UnknownEffectError, match=r"name its folder: plugins=\[my_lab\]"
     ):
@@ -217,7 +217,7 @@ def test_an_effect_of_a_plugin_that_is_not_named_is_told_how_to_name_it():
 
 
 @pytest.mark.long
-def test_the_diagnosis_finds_the_effect_of_a_plugin(
+def test_diagnosis_finds_the_effect_of_a_plugin(
     lab, arm, camera, tmp_path, monkeypatch
 ):
     monkeypatch.setenv(PLUGINS_VARIABLE, str(lab))
@@ -236,7 +236,7 @@ def test_the_diagnosis_finds_the_effect_of_a_plugin(
 
 @pytest.fixture
 def canary_lab(tmp_path):
-    """Return a plugin that leaves a file where it is imported, and that file."""
+    """Return a plugin that writes a file when imported, and that file."""
     folder, canary = tmp_path / "bad_lab", tmp_path / "canary"
     poison = f"open({str(canary)!r}, 'w')\n"
     for path in ("__init__.py", "effects/wind_2.py", "estimate/mine.py"):
@@ -249,7 +249,7 @@ def canary_lab(tmp_path):
 
 @pytest.mark.parametrize("command", ["resume", "verify", "why"])
 @pytest.mark.parametrize("named", ["", "my_lab"])
-def test_a_stored_run_never_imports_a_plugin_that_was_not_named(
+def test_stored_run_imports_no_unnamed_plugin(
     command, named, canary_lab, tmp_path, monkeypatch
 ):
     folder, canary = canary_lab
@@ -268,8 +268,8 @@ def test_a_stored_run_never_imports_a_plugin_that_was_not_named(
     assert not canary.exists()
 
 
-def test_trials_of_a_run_do_not_bring_its_plugin_along(
-    canary_lab, called, nobody, tmp_path
+def test_trials_of_a_run_do_not_load_its_plugin(
+    canary_lab, called, no_named_plugin, tmp_path
 ):
     folder, canary = canary_lab
     trials = tmp_path / "trials"
@@ -277,20 +277,20 @@ def test_trials_of_a_run_do_not_bring_its_plugin_along(
     block = {"_target_": "plugins.bad_lab.estimate.mine.estimate"}
     stored = {"plugins": [str(folder)], "estimate": block}
     (trials / "config.json").write_text(json.dumps(stored))
-    ran = called("+experiment=estimate", f"trials={trials}")
-    assert ran.returncode == 1
-    assert "You have not named the plugin 'bad_lab'" in ran.stderr
+    result = called("+experiment=estimate", f"trials={trials}")
+    assert result.returncode == 1
+    assert "You have not named the plugin 'bad_lab'" in result.stderr
     assert not canary.exists()
     assert not plugin_folders()
 
 
 @pytest.mark.parametrize("stored", ["my_lab", {"my_lab": 1}, [1], [["my_lab"]]])
-def test_stored_plugins_of_another_shape_are_refused(stored, nobody):
+def test_malformed_stored_plugins_are_refused(stored, no_named_plugin):
     with pytest.raises(UserError, match="it must be a list of folders"):
         use_stored_plugins({"plugins": stored}, "config.json")
 
 
-def test_a_stored_run_has_its_own_plugins_only(tmp_path, monkeypatch):
+def test_stored_run_uses_only_its_own_plugins(tmp_path, monkeypatch):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
     both = os.pathsep.join([str(tmp_path / "one"), str(tmp_path / "two")])
@@ -310,8 +310,8 @@ def test_a_stored_run_has_its_own_plugins_only(tmp_path, monkeypatch):
         ("plugins=[my_lab],[other]", "a sweep has one list of plugins"),
     ],
 )
-def test_wrong_names_of_plugins_are_one_error(
-    word, message, nobody, tmp_path, monkeypatch
+def test_wrong_plugin_folders_give_one_error(
+    word, message, no_named_plugin, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     for name in ("my_lab", "sub/my_lab", "My-Lab"):
@@ -341,7 +341,7 @@ STAGE_IN_POINTS = SMOOTH.replace('folder="smoothed"', 'folder="points"')
         ("conf/estimate/quick.yaml", "", "has a file of this name, too"),
     ],
 )
-def test_a_plugin_that_cannot_be_used_is_named_and_nothing_runs(
+def test_unusable_plugin_is_named_and_nothing_runs(
     path, text, message, plugin, called, tmp_path
 ):
     (plugin / path).parent.mkdir(parents=True, exist_ok=True)
@@ -350,14 +350,14 @@ def test_a_plugin_that_cannot_be_used_is_named_and_nothing_runs(
         (plugin / "effects").mkdir()
         (plugin / "effects" / "tether.py").write_text(TETHER)
     run = tmp_path / "run"
-    ran = called("+experiment=quick", f"hydra.run.dir={run}")
-    assert ran.returncode == 1
-    assert re.search(message, " ".join(ran.stderr.split())), ran.stderr
-    assert "Traceback" not in ran.stderr
+    result = called("+experiment=quick", f"hydra.run.dir={run}")
+    assert result.returncode == 1
+    assert re.search(message, " ".join(result.stderr.split())), result.stderr
+    assert "Traceback" not in result.stderr
     assert not run.exists()
 
 
-def test_a_stage_that_names_a_missing_function_is_told_the_nearest(plugin):
+def test_missing_function_of_a_stage_is_answered_with_a_similar_one(plugin):
     (plugin / "stages" / "smooth").mkdir(parents=True)
     (plugin / "stages/smooth/__init__.py").write_text(
         SMOOTH.replace("smooth.run", "smooth.rum")
@@ -399,7 +399,7 @@ class Mine(Source):
         ("estimate", "estimate.mine.mistyped", "a type is wrong .*'Flaot'"),
     ],
 )
-def test_a_role_takes_only_public_functions_of_its_own_folder(
+def test_roles_accept_only_public_functions_of_their_folder(
     role, target, message, plugin
 ):
     (plugin / "estimate").mkdir()
@@ -418,7 +418,7 @@ def test_a_role_takes_only_public_functions_of_its_own_folder(
     assert bind_stage(good, "estimate", "here").keywords == {"size": 1}
 
 
-def test_a_source_of_pictures_and_a_mode_derive_from_their_roles(plugin):
+def test_picture_sources_and_modes_must_derive_from_their_base_class(plugin):
     (plugin / "source").mkdir()
     (plugin / "mode").mkdir()
     for role in ("source", "mode"):

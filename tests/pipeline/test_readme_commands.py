@@ -1,8 +1,4 @@
-"""Every call of the pipeline that a page shows is valid.
-
-Its settings compose, or its command exists. Calls that need no existing run, and take a
-second or two, are run, and print what the page says.
-"""
+"""All calls of the pipeline on pages are valid: settings compose, commands exist."""
 
 import re
 import shlex
@@ -17,7 +13,7 @@ from stringcast.pipeline.settings.composition import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 CALL = re.compile(r"python3? (?:-m pipeline|tasks\.py run)(?![.\w])(.*)")
-# words that a reader replaces, such as <folder> and outputs/...
+# placeholders, such as <folder> and outputs/...
 PLACEHOLDER = re.compile(r"<[^>]*>|[\w/.-]*\.\.\.[\w/.-]*")
 
 
@@ -33,7 +29,7 @@ def pages():
 
 
 def find_in_code(pattern):
-    """Find a pattern in each code line or text between backquotes of each page."""
+    """Find a pattern in code lines and backquotes of all pages."""
     for page in pages():
         for line in (ROOT / page).read_text(encoding="utf-8").splitlines():
             is_code = line.startswith("    ")
@@ -43,13 +39,13 @@ def find_in_code(pattern):
 
 
 def calls():
-    """Return page and arguments of every call, without comments behind a #."""
+    """Return page and arguments of all calls, without comments."""
     for page, found in find_in_code(CALL):
         yield page, found[1].partition(" #")[0].strip()
 
 
 def first_of(override):
-    """Return an override, or the first of those that a sweep of it would give."""
+    """Return an override, or the first value of a sweep."""
     parsed = OverridesParser.create().parse_override(override)
     if not parsed.is_sweep_override():
         return override
@@ -58,9 +54,9 @@ def first_of(override):
     )
 
 
-def fill_plugin(folder, given):
-    """Write what pages show in a folder of one's own, if a call names it."""
-    if "my_lab" in given:
+def fill_plugin(folder, call):
+    """Write the plugin of the pages, if a call names it."""
+    if "my_lab" in call:
         for words in (["stage", "sway"], ["estimator", "uniform_search"]):
             assert load_command("new")([*words, "--to", str(folder)]) == 0
 
@@ -68,20 +64,20 @@ def fill_plugin(folder, given):
 CALLS = sorted(set(calls()))
 
 
-def test_pages_show_calls():
+def test_calls_are_found_on_pages():
     assert len(CALLS) > 40
 
 
 @pytest.mark.parametrize(
-    ("page", "given"), CALLS, ids=[f"{page}: {given}"[:90] for page, given in CALLS]
+    ("page", "call"), CALLS, ids=[f"{page}: {call}"[:90] for page, call in CALLS]
 )
-def test_what_a_page_calls_can_be_called(page, given, plugin):
-    if given.partition(" ")[0] in COMMAND_NAMES:
+def test_calls_on_pages_are_valid(page, call, plugin):
+    if call.partition(" ")[0] in COMMAND_NAMES:
         return
-    fill_plugin(plugin, given)
+    fill_plugin(plugin, call)
     words = [
         word
-        for word in shlex.split(PLACEHOLDER.sub("place", given))
+        for word in shlex.split(PLACEHOLDER.sub("place", call))
         if word not in ("--multirun", "--help")
     ]
     assert compose_settings(
@@ -89,17 +85,17 @@ def test_what_a_page_calls_can_be_called(page, given, plugin):
     )["mode"]
 
 
-def code(page):
-    """Return lines of code of a page, with calls of Python as `python`."""
+def code_lines(page):
+    """Return the code lines of a page, with Python as `python`."""
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
     lines = [line.replace(".venv/bin/python", "python") for line in lines]
     return [line.strip() for line in lines if line.startswith("    ")]
 
 
 def perform_line(line, folder, called):
-    """Perform a line of a page in a folder; return its status and what it prints.
+    """Run a line of a page in a folder; return status and output.
 
-    What it runs with Python is run in this process, the rest by a shell.
+    Python runs in this process, other commands in a shell.
     """
     words = shlex.split(line)
     if words[:2] == ["python", "-c"]:
@@ -107,23 +103,19 @@ def perform_line(line, folder, called):
         return 0, ""
     if words[:3] == ["python", "-m", "pipeline"]:
         paths = {path.name: str(path) for path in folder.iterdir()}
-        done = called(*[paths.get(word, word) for word in words[3:]])
+        result = called(*[paths.get(word, word) for word in words[3:]])
     else:
-        done = subprocess.run(
+        result = subprocess.run(
             ["bash", "-c", line], cwd=folder, capture_output=True, text=True, check=True
         )
-    return done.returncode, done.stdout
+    return result.returncode, result.stdout
 
 
-def test_the_first_ten_minutes_go_as_the_page_says(called, tmp_path, monkeypatch):
-    """The first ten minutes run as the page says.
-
-    All of data/README.md up to the diagnosis is run in an empty folder beside the
-    sample.
-    """
+def test_first_ten_minutes_run_as_on_the_page(called, tmp_path, monkeypatch):
+    """All of data/README.md up to the diagnosis is run in an empty folder."""
     (tmp_path / "data").symlink_to(ROOT / "data")
     monkeypatch.chdir(tmp_path)
-    lines = code("data/README.md")
+    lines = code_lines("data/README.md")
     first, last = (
         lines.index(next(line for line in lines if line.endswith(end)))
         for end in ("-p mine", "check wrong")
@@ -141,7 +133,7 @@ def test_the_first_ten_minutes_go_as_the_page_says(called, tmp_path, monkeypatch
     assert (status, "Not usable" in wrong) == (1, True)
 
 
-def test_short_commands_do_what_the_front_page_says(called, tmp_path):
+def test_short_commands_of_the_front_page_work(called, tmp_path):
     checked = called("check", "data/sample")
     assert checked.returncode == 0
     assert "Usable: 5 trials; nothing looks wrong" in checked.stdout

@@ -1,4 +1,4 @@
-"""The site holds every page, and the commands that it begins with work."""
+"""The site holds all pages, and the commands on its first screen work."""
 
 import importlib.util
 import re
@@ -19,7 +19,7 @@ FRONT = (PAGES / "index.md").read_text(encoding="utf-8")
 NEEDED = ("sphinx", "furo", "myst_parser")
 
 
-def test_every_page_is_in_the_contents_of_the_site():
+def test_contents_of_the_site_list_all_pages():
     contents = re.findall(r"^([\w/*]+)$|<(\w+)>$", FRONT, re.M)
     listed = [plain or titled for plain, titled in contents]
     pages = [page.with_suffix("").as_posix() for page in tracked_pages()]
@@ -37,7 +37,7 @@ needs_sphinx = pytest.mark.skipif(
 
 @pytest.mark.long
 @needs_sphinx
-def test_the_site_is_built_without_a_warning_and_needs_no_network():
+def test_site_builds_without_warnings_and_needs_no_network():
     assert main([]) == 0
     html = ROOT / "docs" / "site" / "html"
     words = (html / "searchindex.js").read_text("utf-8")
@@ -53,7 +53,7 @@ def test_the_site_is_built_without_a_warning_and_needs_no_network():
 
 
 def broken_links(pages):
-    """Return links within a site to files or places of a page that do not exist."""
+    """Return internal links to missing files or anchors."""
     places = {page: set(re.findall(r' id="([^"]+)"', pages[page])) for page in pages}
     broken = []
     for page, text in pages.items():
@@ -71,7 +71,7 @@ def broken_links(pages):
     return broken
 
 
-def test_a_broken_link_is_found(tmp_path):
+def test_broken_links_are_found(tmp_path):
     page, other = tmp_path / "page.html", tmp_path / "other.html"
     page.touch()
     other.touch()
@@ -91,7 +91,7 @@ def test_a_broken_link_is_found(tmp_path):
 
 @pytest.mark.long
 @needs_sphinx
-def test_links_to_other_sites_lead_somewhere():
+def test_external_links_work():
     try:
         socket.getaddrinfo("keepachangelog.com", 443)
     except OSError:
@@ -99,13 +99,8 @@ def test_links_to_other_sites_lead_somewhere():
     assert main(["linkcheck"]) == 0
 
 
-def test_five_commands_lead_from_an_installation_to_a_diagnosis(
-    tmp_path, monkeypatch, capsys
-):
-    """The first screen shows five commands; import and check are run as printed.
-
-    The last one is run by `tests/diagnosis/test_from_the_command_line.py`.
-    """
+def test_first_screen_shows_five_commands_to_a_diagnosis(tmp_path, monkeypatch, capsys):
+    """`tests/diagnosis/test_from_the_command_line.py` runs the last one."""
     shown = re.findall(r"^    (.+)$", FRONT, re.M)
     assert len(shown) == 5
     assert shown[1] == "cast/bin/pip install stringcast"

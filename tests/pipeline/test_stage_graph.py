@@ -1,4 +1,4 @@
-"""The wiring of stages: refusals, effects of settings, and stale results."""
+"""Wiring of stages: errors, effects of settings, and stale results."""
 
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,7 @@ SMOOTH = StageSpec(
 
 
 def run_smooth(call, points):
-    """Move all points by the setting, and count the call."""
+    """Move all points by the setting."""
     moved = points.points.assign(
         x=points.points["x"] + call.setup.config["smooth"]["by"]
     )
@@ -40,7 +40,7 @@ def run_smooth(call, points):
 
 @pytest.fixture
 def smooth(monkeypatch):
-    """Register a stage of a user, between extraction and estimation."""
+    """Register a stage between extraction and estimation."""
     monkeypatch.setitem(stages(), "smooth", SMOOTH)
     monkeypatch.setattr(spec, "toy_smooth", run_smooth, raising=False)
 
@@ -59,7 +59,7 @@ def connections(graph):
     }
 
 
-def test_inputs_come_from_the_last_stage_that_makes_their_kind(smooth):
+def test_inputs_come_from_the_last_stage_of_their_kind(smooth):
     graph = build_graph((*CAST[:3], "smooth", "estimate"), {}, {})
     assert connections(graph) == {
         "generate: motion of generate in an earlier iteration",
@@ -73,7 +73,7 @@ def test_inputs_come_from_the_last_stage_that_makes_their_kind(smooth):
     }
 
 
-def test_a_setting_names_another_stage(smooth):
+def test_setting_inputs_chooses_another_stage(smooth):
     config = {"estimate": {"inputs": {"points": "extract"}}}
     order = (*CAST[:3], "smooth", "estimate", "predict")
     graph = build_graph(order, config, {})
@@ -81,7 +81,7 @@ def test_a_setting_names_another_stage(smooth):
     assert "predict: points of smooth" in connections(graph)
 
 
-def test_what_is_stored_fills_an_input_that_no_stage_makes(smooth):
+def test_stored_artifacts_fill_inputs_without_a_stage(smooth):
     given = {"trial": Film, "points": Points}
     graph = build_graph(("extract", "estimate"), {}, given)
     assert "extract: trial of the stored trial" in connections(graph)
@@ -131,7 +131,7 @@ def test_wrong_wiring_is_refused(smooth, names, config, message):
         build_graph(names, config, {})
 
 
-def test_two_inputs_of_one_kind_must_be_named(smooth, monkeypatch):
+def test_inputs_of_equal_kind_must_be_named(smooth, monkeypatch):
     monkeypatch.setitem(stages(), "both", replace(BOTH, name="both", is_end=True))
     order = (*CAST[:3], "smooth", "both", "estimate")
     with pytest.raises(UserError, match=r"a and b are both Points.*\+both\.inputs\.b="):
@@ -140,7 +140,7 @@ def test_two_inputs_of_one_kind_must_be_named(smooth, monkeypatch):
     assert "both: a of smooth" in connections(build_graph(order, config, {}))
 
 
-def test_an_inserted_stage_acts_and_makes_later_steps_stale(smooth, tmp_path):
+def test_inserted_stage_takes_effect(smooth, tmp_path):
     plain, _ = toy_run(tmp_path / "plain", toy_experiment())
     made, _ = toy_run(tmp_path / "run", smoothed_experiment())
     assert made == plain  # the smoothing is not counted
@@ -159,23 +159,23 @@ def test_an_inserted_stage_acts_and_makes_later_steps_stale(smooth, tmp_path):
         ({"points": "extract"}, {"01/estimate", "02/motion", "02/trial"}),
     ],
 )
-def test_another_setting_or_wiring_makes_stale_what_follows(
+def test_changed_setting_or_wiring_makes_later_steps_stale(
     smooth, tmp_path, capsys, change, stale
 ):
     run = tmp_path / "run"
     toy_run(run, smoothed_experiment())
     (run / "config.json").unlink()
-    _, said = toy_run(run, smoothed_experiment(**change))
+    _, output = toy_run(run, smoothed_experiment(**change))
     made = {
         line.split()[1].strip(":").removeprefix("iterations/")
-        for line in said.splitlines()
+        for line in output.splitlines()
         if line.startswith("recomputing")
     }
     assert stale <= made
     assert not made & {"01/motion", "01/trial", "01/points"}
 
 
-def test_the_graph_is_printed(capsys):
+def test_graph_is_printed(capsys):
     assert load_command("graph")(["+experiment=stringB"]) == 0
     printed = capsys.readouterr().out
     assert "estimate: takes trial of execute, points of extract" in printed
@@ -222,10 +222,7 @@ MADE = []
 
 @st.composite
 def random_graphs(draw):
-    """Draw the sources of each node, and the node that changes.
-
-    All sources are earlier nodes.
-    """
+    """Draw the sources (earlier nodes) of each node, and the node that changes."""
     count = draw(st.integers(2, 7))
     sources = []
     for node in range(count):
@@ -240,10 +237,10 @@ def random_graphs(draw):
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(random_graphs())
-def test_exactly_the_steps_after_a_change_are_made_again(
-    monkeypatch, tmp_path_factory, drawn
+def test_only_steps_after_a_change_are_repeated(
+    monkeypatch, tmp_path_factory, graph_and_change
 ):
-    sources, changed = drawn
+    sources, changed = graph_and_change
     folder = tmp_path_factory.mktemp("graph")
     monkeypatch.setattr(spec, "toy_node", run_node, raising=False)
     names = [f"node{i}" for i in range(len(sources))]

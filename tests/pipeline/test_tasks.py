@@ -1,4 +1,4 @@
-"""`python3 tasks.py test` ends with 0 only if everything was run and is clean."""
+"""The tasks of tasks.py, and the exit status of `test`."""
 
 import pytest
 
@@ -8,13 +8,10 @@ import tasks
 @pytest.mark.parametrize("code", [-9, -15, 1, 2, 3, 5, 127])
 @pytest.mark.parametrize("command", ["ruff", "mypy", "pytest"])
 @pytest.mark.parametrize("arguments", [[], ["--all"], ["tests/laws"]])
-def test_any_command_that_does_not_end_with_0_fails(
+def test_nonzero_status_of_any_command_fails_the_task(
     monkeypatch, code, command, arguments
 ):
-    """Any command that does not end with 0 fails.
-
-    A negative code is a signal's; pytest ends with 5 where it ran no test.
-    """
+    """A negative status means a signal; pytest ends with 5 if it ran no test."""
     monkeypatch.setattr(
         tasks, "run_module", lambda name, *_, **__: code if name == command else 0
     )
@@ -23,7 +20,7 @@ def test_any_command_that_does_not_end_with_0_fails(
     assert tasks.run_tests(arguments) == 0
 
 
-def test_all_selects_the_long_ones_too(monkeypatch):
+def test_option_all_selects_long_tests(monkeypatch):
     called = []
     monkeypatch.setattr(
         tasks, "run_module", lambda *command, **_: called.append(command) or 0
@@ -36,7 +33,7 @@ def test_all_selects_the_long_ones_too(monkeypatch):
     assert [(*command, "-m", "") for command in short] == whole
 
 
-def test_links_are_made_again_beside_the_bytecode_of_python(monkeypatch, tmp_path):
+def test_package_links_are_updated_and_bytecode_is_kept(monkeypatch, tmp_path):
     monkeypatch.setattr(tasks, "LINKS", tmp_path / "package")
     monkeypatch.setattr(tasks, "ENVIRONMENT", tmp_path)
     tasks.link_package()
@@ -49,7 +46,7 @@ def test_links_are_made_again_beside_the_bytecode_of_python(monkeypatch, tmp_pat
     assert (package / "stages").resolve() == tasks.ROOT / "stages"
 
 
-def test_a_run_of_which_every_test_was_skipped_fails():
+def test_run_with_only_skipped_tests_fails():
     import conftest
 
     assert conftest.executed({"passed": [1]})
@@ -68,8 +65,6 @@ def test_a_run_of_which_every_test_was_skipped_fails():
         ("check data/sample", "check data/sample"),
     ],
 )
-def test_run_is_the_main_job_with_other_settings_unless_another_is_named(
-    monkeypatch, given, called
-):
+def test_task_run_adds_the_default_experiment(monkeypatch, given, called):
     monkeypatch.setattr(tasks, "run_module", lambda *words: " ".join(words))
     assert tasks.run_pipeline(given.split()) == f"pipeline {called}"

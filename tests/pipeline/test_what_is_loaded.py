@@ -1,6 +1,6 @@
-"""A command does not load packages that only a run needs.
+"""Commands do not load packages that only a run needs.
 
-Names of modules are tested, because times differ from machine to machine.
+Module names are tested, as times differ between machines.
 """
 
 import subprocess
@@ -12,7 +12,7 @@ import pytest
 from tests.faults.toy import toy_experiment, toy_run
 
 ROOT = Path(__file__).resolve().parents[2]
-# loading takes 0.1 to 0.5 s each
+# each takes 0.1 to 0.5 s to load
 HEAVY = {"cv2", "jinja2", "matplotlib", "numba", "scipy"}
 SHOWN = """
 import runpy, sys
@@ -25,24 +25,24 @@ print("loaded:", *sorted({name.partition(".")[0] for name in sys.modules}))
 """
 
 
-def loaded(*words):
-    """Return the packages that a command has loaded when it ends."""
+def loaded_packages(*words):
+    """Return the packages loaded by a command."""
     command = [sys.executable, "-c", SHOWN, *map(str, words)]
-    asked = subprocess.run(
+    result = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, check=True
     )
-    return {*asked.stdout.splitlines()[-1].split()[1:]}
+    return {*result.stdout.splitlines()[-1].split()[1:]}
 
 
-def test_help_loads_little():
-    assert not (HEAVY | {"pandas", "pyarrow"}) & loaded("--help")
+def test_help_loads_no_heavy_packages():
+    assert not (HEAVY | {"pandas", "pyarrow"}) & loaded_packages("--help")
 
 
 @pytest.mark.long
-def test_points_are_checked_without_opencv_and_serial():
-    assert not {"cv2", "serial"} & loaded("check", "data/sample")
+def test_check_of_points_loads_neither_opencv_nor_pyserial():
+    assert not {"cv2", "serial"} & loaded_packages("check", "data/sample")
 
 
-def test_what_a_run_was_made_of_is_found_without_loading_it(tmp_path):
+def test_index_loads_no_heavy_packages(tmp_path):
     toy_run(tmp_path / "run", toy_experiment(1))
-    assert not HEAVY & loaded("index", tmp_path)
+    assert not HEAVY & loaded_packages("index", tmp_path)

@@ -1,4 +1,4 @@
-"""Runs with stages of a plugin, where the wiring or a description is odd."""
+"""Runs with additional stages: wiring, descriptions, and code state."""
 
 import os
 from dataclasses import replace
@@ -36,7 +36,7 @@ from tests.pipeline.test_stage_graph import CAST, SMOOTH, run_smooth
 
 @pytest.fixture
 def smooth(monkeypatch):
-    """Register a stage that moves all points."""
+    """Register a stage that shifts all points."""
     monkeypatch.setitem(stages(), "smooth", SMOOTH)
     monkeypatch.setattr(spec, "toy_smooth", run_smooth, raising=False)
 
@@ -48,15 +48,15 @@ def stored_run(tmp_path):
 
 
 class Maker:
-    """An executor that makes what stages of a graph return."""
+    """An executor that runs the stage directly."""
 
     def obtain(self, step):
         setup = SimpleNamespace(config={"smooth": {"by": 9.0}})
         return run_smooth(SimpleNamespace(setup=setup), step.inputs["points"])
 
 
-def read_stored(reading, config, film=None):
-    """Read a stored trial of one point through stages, as the estimation takes it."""
+def read_stored_trial(reading, config, film=None):
+    """Read a stored trial of one point through stages, for the estimation."""
     point = rows(Points.TABLES["points"], 1, x=[1.0], valid=[True])
     tables = point, *(rows(Points.TABLES[name]) for name in ("readings", "masks"))
     trial = Observation("a", *tables, arm=rows(Trial.TABLES["arm"]))
@@ -67,13 +67,13 @@ def read_stored(reading, config, film=None):
 
 
 @pytest.mark.parametrize(("inputs", "x"), [({}, 10.0), ({"points": "extract"}, 1.0)])
-def test_points_of_stored_trials_are_those_that_are_wired(smooth, inputs, x):
+def test_wiring_applies_to_points_of_stored_trials(smooth, inputs, x):
     config = {"estimate": {"inputs": inputs}}
-    observation = read_stored(("extract", "smooth"), config)
+    observation = read_stored_trial(("extract", "smooth"), config)
     assert observation.points["x"].iloc[0] == x
 
 
-def test_a_stage_that_lacks_what_is_made_from_frames_is_one_error(smooth, monkeypatch):
+def test_stage_that_needs_frames_is_refused_without_them(smooth, monkeypatch):
     film = SameIteration(Trial | Film)
     weigh = replace(SMOOTH, name="weigh", makes=Motion, folder="weights")
     both = {"points": SameIteration(Points), "weights": SameIteration(Motion)}
@@ -81,10 +81,10 @@ def test_a_stage_that_lacks_what_is_made_from_frames_is_one_error(smooth, monkey
     monkeypatch.setitem(stages(), "apply", replace(SMOOTH, name="apply", inputs=both))
     for reading in (("weigh", "extract", "apply"), ("extract", "weigh", "apply")):
         with pytest.raises(DataError, match=r"apply takes weights, .*mode\.again=true"):
-            read_stored(reading, {})
+            read_stored_trial(reading, {})
 
 
-def test_what_follows_an_estimation_is_left_out_with_it(smooth, tmp_path, monkeypatch):
+def test_stages_after_a_skipped_estimation_are_skipped(smooth, tmp_path, monkeypatch):
     judge = replace(SMOOTH, name="judge", folder="judged", is_end=True)
     inputs = {"estimate": SameIteration(stages()["estimate"].makes)}
     monkeypatch.setitem(stages(), "judge", replace(judge, inputs=inputs))
@@ -102,7 +102,7 @@ def test_what_follows_an_estimation_is_left_out_with_it(smooth, tmp_path, monkey
     assert made == {"motion", "trial", "points"}
 
 
-def test_a_stage_without_its_settings_is_refused_before_anything_runs(monkeypatch):
+def test_stage_without_settings_is_refused_before_a_run(monkeypatch):
     with pytest.raises(UserError, match=r"estimate \(conf/mode\): its settings are"):
         refuse_lacking_settings(("estimate",), {}, "conf/mode")
     with pytest.raises(UserError, match=r"must hold `_target_`"):
@@ -111,7 +111,7 @@ def test_a_stage_without_its_settings_is_refused_before_anything_runs(monkeypatc
         build_graph(CAST, {"estimate": 5}, {})
 
 
-def test_another_wiring_of_the_same_inputs_is_stale():
+def test_changed_wiring_of_equal_inputs_is_stale():
     stored, current = (
         step_origin({"both": {"inputs": {"a": a, "b": b}}}, "both", 1, {"x": "1"})
         for a, b in (("extract", "smooth"), ("smooth", "extract"))
@@ -123,7 +123,7 @@ def test_another_wiring_of_the_same_inputs_is_stale():
     ]
 
 
-def test_an_artifact_of_another_type_is_one_error(smooth, tmp_path, monkeypatch):
+def test_artifact_of_a_wrong_type_is_refused(smooth, tmp_path, monkeypatch):
     monkeypatch.setattr(spec, "toy_smooth", lambda call, points: 5)
     here = toy_experiment(1, mode=Cast(stages=(*CAST[:3], "smooth", "estimate")))
     with pytest.raises(UserError, match=r"smooth: .*returned int, not Points"):
@@ -159,9 +159,7 @@ RIGHT = {
         ({"name": "arm"}, "the settings 'arm' are of something else"),
     ],
 )
-def test_a_wrong_description_of_a_stage_is_one_error(
-    tmp_path, monkeypatch, wrong, message
-):
+def test_wrong_stage_descriptions_are_refused(tmp_path, monkeypatch, wrong, message):
     file = tmp_path / "wrong_lab/stages/mine/__init__.py"
     file.parent.mkdir(parents=True)
     file.write_text(DESCRIPTION.format(**RIGHT | wrong))
@@ -170,7 +168,7 @@ def test_a_wrong_description_of_a_stage_is_one_error(
         stages()
 
 
-def test_linked_folders_of_a_plugin_are_part_of_its_code(tmp_path, monkeypatch):
+def test_linked_folders_count_as_code_of_a_plugin(tmp_path, monkeypatch):
     lab, elsewhere = tmp_path / "linked_lab", tmp_path / "elsewhere"
     (elsewhere / "mine").mkdir(parents=True)
     (elsewhere / "mine/helper.py").write_text("a = 1\n")
@@ -181,7 +179,7 @@ def test_linked_folders_of_a_plugin_are_part_of_its_code(tmp_path, monkeypatch):
     assert [*plugin_sources()] == ["plugins.linked_lab stages/mine/helper.py"]
 
 
-def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
+def test_data_files_count_as_code_of_a_plugin(tmp_path, monkeypatch):
     table = tmp_path / "data_lab/stages/mine/offsets.csv"
     table.parent.mkdir(parents=True)
     monkeypatch.setenv(PLUGINS_VARIABLE, str(tmp_path / "data_lab"))
@@ -191,7 +189,8 @@ def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
         code_state_with.cache_clear()
         digests.add(code_state()["source"])
     assert len(digests) == 5
-    monkeypatch.setattr(provenance, "MAX_SOURCE_BYTES", 2)  # then the size counts
+    # now only the size counts
+    monkeypatch.setattr(provenance, "MAX_SOURCE_BYTES", 2)
     table.write_text("4.00")
     code_state_with.cache_clear()
     fourth = code_state()["source"]
@@ -201,7 +200,7 @@ def test_data_files_of_a_plugin_count_as_its_code(tmp_path, monkeypatch):
     code_state_with.cache_clear()
 
 
-def test_the_commit_and_all_folders_of_the_code_count(monkeypatch):
+def test_code_state_covers_commit_and_all_folders(monkeypatch):
     answers = {"rev-parse": "abc\n", "status": " M stages/a.py\n"}
     monkeypatch.setattr(provenance, "git_output", lambda *words: answers[words[0]])
     find_state = code_state_with.__wrapped__  # without its cache
@@ -215,7 +214,7 @@ def test_the_commit_and_all_folders_of_the_code_count(monkeypatch):
     assert find_state(())["source"] != whole["source"]
 
 
-def test_the_code_counts_with_the_plugins_that_are_named_now(tmp_path, monkeypatch):
+def test_code_state_covers_named_plugins(tmp_path, monkeypatch):
     (tmp_path / "late_lab").mkdir()
     (tmp_path / "late_lab/helper.py").write_text("a = 1\n")
     before = code_state()["source"]
@@ -223,7 +222,7 @@ def test_the_code_counts_with_the_plugins_that_are_named_now(tmp_path, monkeypat
     assert code_state()["source"] != before
 
 
-def test_index_and_why_agree_whatever_plugins_are_named(tmp_path, monkeypatch, capsys):
+def test_index_and_why_ignore_other_named_plugins(tmp_path, monkeypatch, capsys):
     run = stored_run(tmp_path)
     (tmp_path / "other_lab").mkdir()
     (tmp_path / "other_lab/helper.py").write_text("a = 1\n")
@@ -235,20 +234,20 @@ def test_index_and_why_agree_whatever_plugins_are_named(tmp_path, monkeypatch, c
     assert load_command("why")([str(run)]) == 0
 
 
-def test_a_new_stage_is_not_named_like_one_of_the_package(tmp_path):
+def test_new_stage_must_not_have_the_name_of_an_existing_one(tmp_path):
     with pytest.raises(UserError, match="predict: there is a stage of this name"):
         new.main(["stage", "predict", "--to", str(tmp_path / "lab")])
 
 
-def test_frames_of_stored_trials_are_inputs_that_are_still_there(tmp_path):
+def test_stored_frames_are_hashed_as_inputs(tmp_path):
     run = stored_run(tmp_path)
     frames = str(run / "iterations/01/trial/images")
     assert [*input_hashes(tmp_path / "new", [frames], str(run))] == [frames]
-    (run / "dataset.yaml").unlink()  # somebody's settings name any folder
+    (run / "dataset.yaml").unlink()  # foreign settings may name any folder
     assert not input_hashes(tmp_path / "new", [frames], str(run))
 
 
-def test_a_seed_counts_for_a_stage_of_a_plugin(smooth, tmp_path, monkeypatch):
+def test_seed_counts_for_stages_of_plugins(smooth, tmp_path, monkeypatch):
     order = (*CAST[:3], "smooth", "estimate")
     here = toy_experiment(1, mode=Cast(stages=order), smooth={"by": 1.0})
     toy_run(tmp_path, here)

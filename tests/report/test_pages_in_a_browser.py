@@ -118,7 +118,7 @@ def texts(arm, camera):
             "best_E": [0.9, np.nan, np.nan],
             "seconds": 3.0,
             "stale": ["s", "", ""],
-            "said": "So.",
+            "message": "So.",
             "page": ["a/b/report.html", "a/c/report.html", ""],
         }
     )

@@ -94,7 +94,7 @@ def _row(run: Mapping[str, Any]) -> list[Any]:
     outcome = run["outcome"] or run["state"]
     begun = run["date"][:16].replace("T", " ")
     name = Cell(_run_link(run), "name")
-    return [outcome, name, run["causes"], *numbers, begun, run["said"]]
+    return [outcome, name, run["causes"], *numbers, begun, run["message"]]
 
 
 def _run_link(run: Mapping[str, Any]) -> Any:
