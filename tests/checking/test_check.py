@@ -297,15 +297,15 @@ def test_an_error_has_a_remedy_and_stops_runs(dirty, tmp_path, kind):
     spoil, place, remedy = CERTAIN[kind]
     spoil(dirty)
     here = read_checked(dirty.write(tmp_path))
-    told = collect_findings(here)
-    assert all(f.file and f.field and f.statement and f.remedy for f in told)
-    errors = [f for f in told if f.severity is Severity.ERROR]
+    findings = collect_findings(here)
+    assert all(f.file and f.field and f.statement and f.remedy for f in findings)
+    errors = [f for f in findings if f.severity is Severity.ERROR]
     assert {f"{f.file} {f.field}" for f in errors} == {*place.split("; ")}, [
         f.sentence for f in errors
     ]
     assert remedy in errors[0].remedy
     # too little data give no advice on clocks or noise
-    assert len(told) == 1 or kind not in TOO_LITTLE
+    assert len(findings) == 1 or kind not in TOO_LITTLE
     assert not dataset_overview(here)["usable"]
     with pytest.raises(DataError) as refused:
         refuse_errors(here)
@@ -375,9 +375,9 @@ def hole_in_the_log(dirty):
     dirty.arm = dirty.arm.drop(index=rows[50:75])
 
 
-def about(**said):
+def about(**blocks):
     def spoil(dirty):
-        dirty.about |= said
+        dirty.about |= blocks
 
     return spoil
 
@@ -462,7 +462,7 @@ SUSPICIOUS = {
     ),
     "none valid": (none_valid, "points.csv valid", "a blank is false"),
     "two frames": (two_frames, "points.csv t", "takes more frames"),
-    "said to be invalid": (
+    "stated to be invalid": (
         about(trials={"t03": {"invalid": "it slipped off"}}),
         "dataset.yaml trials.t03.invalid",
         "Take 'invalid' out",
@@ -476,26 +476,26 @@ def test_warnings_are_shown_as_text_and_as_json(dirty, tmp_path, kind):
     spoil, place, remedy = SUSPICIOUS[kind]
     spoil(dirty)
     here = read_checked(dirty.write(tmp_path))
-    told = collect_findings(here)
-    assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in told), [
-        f.sentence for f in told
+    found = collect_findings(here)
+    assert any(f"{f.file} {f.field}" == place and remedy in f.remedy for f in found), [
+        f.sentence for f in found
     ]
-    assert all(f.severity is not Severity.ERROR for f in told), [
-        f.sentence for f in told
+    assert all(f.severity is not Severity.ERROR for f in found), [
+        f.sentence for f in found
     ]
     for_programs = dataset_overview(here)["findings"]
-    assert len(for_programs) == len(told)
+    assert len(for_programs) == len(found)
     for one in for_programs:
         assert all(one[name] for name in ("file", "field", "statement", "remedy")), one
 
 
 def test_the_suggested_command_describes_the_arm(dirty, tmp_path):
     undescribed(dirty)
-    (told,) = findings_in(dirty.write(tmp_path))
-    assert told.sentence.startswith(
+    (finding,) = findings_in(dirty.write(tmp_path))
+    assert finding.sentence.startswith(
         "dataset.yaml arm.links, arm.base: arm.csv holds joint angles of an arm"
     )
-    subprocess.run(["sh", "-c", told.remedy.partition("one: ")[2]], check=True)
+    subprocess.run(["sh", "-c", finding.remedy.partition("one: ")[2]], check=True)
     assert findings_in(tmp_path) == []
 
 
@@ -527,10 +527,11 @@ def test_harmless_faults_give_only_notes(dirty, tmp_path):
     dirty.with_poses()
     # a direction may be wrapped
     dirty.grasp["theta"] = np.angle(np.exp(1j * dirty.grasp["theta"]))
-    told = findings_in(dirty.write(tmp_path))
-    assert {f.severity for f in told} == {Severity.NOTE}
+    findings = findings_in(dirty.write(tmp_path))
+    assert {f.severity for f in findings} == {Severity.NOTE}
     assert any(
-        "(1: y is not a finite number; 40: a row twice)" in f.statement for f in told
+        "(1: y is not a finite number; 40: a row twice)" in f.statement
+        for f in findings
     )
 
 
@@ -616,9 +617,9 @@ def test_marks_of_a_string_of_unknown_length_may_all_be_before_its_end(
     marks = np.sort(dirty.points["s"].unique())[[-2, -1]]
     dirty.points = dirty.points[dirty.points["s"].isin(marks)]
     no_length(dirty)
-    told = {f.field for f in findings_in(dirty.write(tmp_path))}
-    assert "string.length" in told
-    assert told <= {"string.length", "s"}
+    fields = {f.field for f in findings_in(dirty.write(tmp_path))}
+    assert "string.length" in fields
+    assert fields <= {"string.length", "s"}
 
 
 def test_every_check_can_find_something():
@@ -653,14 +654,14 @@ def test_if_two_units_fit_the_fall_decides_and_both_are_stated(
 
 
 @pytest.mark.parametrize(
-    ("times", "lengths", "said", "advice"),
+    ("times", "lengths", "expected", "advice"),
     [
         (8.0, 1.0, "falls with", "slow motion"),
         (1.0, 10.0, "are in decimetres", "by 0.1"),
     ],
 )
 def test_a_fall_that_contradicts_gravity_is_reported(
-    dirty, tmp_path, times, lengths, said, advice
+    dirty, tmp_path, times, lengths, expected, advice
 ):
     """A string that falls impossibly is reported.
 
@@ -671,9 +672,9 @@ def test_a_fall_that_contradicts_gravity_is_reported(
         table[["x", "y"]] *= lengths
     dirty.points["s"] *= lengths
     dirty.about["string"]["length"] *= lengths
-    told = findings_in(dirty.write(tmp_path))
-    assert any(said in f.statement and advice in f.remedy for f in told), [
-        f.sentence for f in told
+    findings = findings_in(dirty.write(tmp_path))
+    assert any(expected in f.statement and advice in f.remedy for f in findings), [
+        f.sentence for f in findings
     ]
 
 
@@ -687,9 +688,9 @@ def test_a_string_that_stays_at_rest_does_not_fall(dirty, tmp_path):
     hand = dirty.grasp.groupby("trial")[["x", "y"]].first()
     dirty.points["x"] = dirty.points["trial"].map(hand["x"]) + 0.8 * dirty.points["s"]
     dirty.points["y"] = dirty.points["trial"].map(hand["y"]) - 0.6 * dirty.points["s"]
-    told = findings_in(dirty.write(tmp_path))
-    assert any("leaves its place" in finding.statement for finding in told)
-    assert not any("falls with" in finding.statement for finding in told)
+    findings = findings_in(dirty.write(tmp_path))
+    assert any("leaves its place" in finding.statement for finding in findings)
+    assert not any("falls with" in finding.statement for finding in findings)
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
@@ -727,7 +728,7 @@ PICTURES = {
 
 @pytest.mark.parametrize("kind", PICTURES)
 def test_a_camera_that_cannot_show_the_string_is_reported(kind):
-    changed, said = PICTURES[kind]
+    changed, expected = PICTURES[kind]
     camera = Camera(
         **{
             "width": 320,
@@ -741,12 +742,12 @@ def test_a_camera_that_cannot_show_the_string_is_reported(kind):
     filmed = SimpleNamespace(
         data=SimpleNamespace(films={"a": None}), camera=camera, length=0.3
     )
-    told = [
+    statements = [
         f"{finding.severity} {finding.statement}"
         for finding in check_camera_view(filmed)
     ]
-    assert len(told) == bool(said)
-    assert not said or re.match(said, told[0]), told
+    assert len(statements) == bool(expected)
+    assert not expected or re.match(expected, statements[0]), statements
 
 
 def test_the_command_describes_the_data_and_its_status_states_usability(
@@ -758,10 +759,10 @@ def test_the_command_describes_the_data_and_its_status_states_usability(
     scaled("points", ["x", "y"], 1e3)(dirty)
     bad = called("check", dirty.write(tmp_path), "--json")
     assert bad.returncode == 1
-    said = json.loads(bad.stdout)
-    assert said["findings"][0]["remedy"] == "Multiply x and y by 0.001"
-    assert said["findings"][0]["trials"] == TRIALS
-    assert len(said["trials"]) == 3
+    document = json.loads(bad.stdout)
+    assert document["findings"][0]["remedy"] == "Multiply x and y by 0.001"
+    assert document["findings"][0]["trials"] == TRIALS
+    assert len(document["trials"]) == 3
     before = {file.name for file in tmp_path.iterdir()}
     run = called(
         "+experiment=diagnose",
@@ -830,11 +831,11 @@ def test_the_frequency_that_a_diagnosis_resolves_is_noted_for_a_long_trial(
 def test_detection_limits_are_shown_if_requested(
     dirty, called, undrawn, tmp_path, monkeypatch
 ):
-    asked = []
+    calls = []
     monkeypatch.setattr(
         check_effects,
         "detectable_effects",
-        lambda *given: asked.append(given) or ([EFFECT], NOT_TRIED),
+        lambda *given: calls.append(given) or ([EFFECT], NOT_TRIED),
     )
     folder = dirty.write(tmp_path)
     assert "wind" not in called("check", folder).stdout
@@ -846,7 +847,7 @@ def test_detection_limits_are_shown_if_requested(
         tmp_path / "page.html",
         "string.points=15",
     )
-    ((settings,),) = asked
+    ((settings,),) = calls
     assert settings["trials"] == str(folder)
     assert settings["string"]["points"] == 15
     assert re.search(r"wind.along_x +0.021 m/s +0.7 +52% +tip_mass", done.stdout)
@@ -862,7 +863,7 @@ def test_detection_limits_are_shown_if_requested(
     assert "effects" not in json.loads(
         called("check", dirty.write(tmp_path), "--effects", "--json").stdout
     )
-    assert len(asked) == 2
+    assert len(calls) == 2
 
 
 @pytest.mark.long
@@ -876,15 +877,15 @@ def test_detection_limits_of_the_sample(called):
     done = called(
         "check", SAMPLE, "--effects", "--json", "diagnose.excluded_effects=[wind]"
     )
-    told = {
+    limits = {
         f"{each['effect']}.{each['parameter']}": each
         for each in json.loads(done.stdout)["effects"]
     }
-    assert len(told) > 25
-    assert "wind.along_x" not in told
-    assert told["camera_offset.x"]["found_from"] == pytest.approx(5e-4, rel=0.01)
-    assert told["time_offset.offset"]["found_from"] < 0.1 / 200
-    assert all(each["tip_m"] >= 4.99e-4 for each in told.values())
+    assert len(limits) > 25
+    assert "wind.along_x" not in limits
+    assert limits["camera_offset.x"]["found_from"] == pytest.approx(5e-4, rel=0.01)
+    assert limits["time_offset.offset"]["found_from"] < 0.1 / 200
+    assert all(each["tip_m"] >= 4.99e-4 for each in limits.values())
 
 
 def test_unreadable_data_are_one_error(called, tmp_path):
@@ -962,17 +963,17 @@ def test_clocks_with_and_without_the_epoch_of_1970_are_reported(dirty, tmp_path)
 def test_real_strings_have_no_errors_except_the_missing_description(
     name,
 ):
-    told = collect_findings(read_measurements(MEASURED / name, []))
+    findings = collect_findings(read_measurements(MEASURED / name, []))
     errors = collect_findings(
         read_measurements(MEASURED / name, ["string.length=0.75"])
     )
     assert all(f.severity is not Severity.ERROR for f in errors)
     assert all(
         "on a string of 0.300 m (string.length)" in f.statement
-        for f in told
+        for f in findings
         if f.severity is Severity.ERROR
     )
-    assert {"string.length", "s", "t"} <= {f.field for f in told}
+    assert {"string.length", "s", "t"} <= {f.field for f in findings}
 
 
 @pytest.mark.parametrize(

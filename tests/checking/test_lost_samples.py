@@ -134,8 +134,8 @@ def test_lost_points_are_named_by_trial_count_and_duration_and_left_out(
     rows = dirty.points[dirty.points["trial"] == "t03"].index
     lost = RNG.choice(rows, len(rows) // 5, replace=False)
     dirty.points.loc[lost, ["x", "y"]] = 0.0
-    told = findings_in(dirty.write(tmp_path))
-    (sentence,) = statements(told)
+    findings = findings_in(dirty.write(tmp_path))
+    (sentence,) = statements(findings)
     assert sentence.startswith("warning points.csv x, y (trial t03)")
     assert f"t03: {len(lost)} of {len(rows)}, for up to 0.0" in sentence
     read = dataset.read_dataset(tmp_path).trials["t03"].points
@@ -145,11 +145,11 @@ def test_lost_points_are_named_by_trial_count_and_duration_and_left_out(
 def test_rows_of_zeros_are_an_error_and_the_command_leaves_them_out(dirty, tmp_path):
     clean = dirty.arm.copy()
     dirty.arm.loc[::4, ["q1", "q2", "q3"]] = 0.0
-    (told,) = findings_in(dirty.write(tmp_path))
-    assert told.severity is Severity.ERROR
-    assert "t00: " in told.statement
-    assert "m/s" in told.statement
-    command = told.remedy.partition(": ")[2].replace("python", sys.executable, 1)
+    (finding,) = findings_in(dirty.write(tmp_path))
+    assert finding.severity is Severity.ERROR
+    assert "t00: " in finding.statement
+    assert "m/s" in finding.statement
+    command = finding.remedy.partition(": ")[2].replace("python", sys.executable, 1)
     subprocess.run(["sh", "-c", command], check=True)
     assert all(f.severity is Severity.NOTE for f in findings_in(tmp_path))
     kept = pd.read_csv(tmp_path / "arm.csv")
@@ -171,11 +171,11 @@ def test_useless_times_are_reported_and_no_clock_is_proposed(
     times = stamps(dirty.points.loc[here, "t"].to_numpy())
     dirty.points["t"] = dirty.points["t"].astype(float)
     dirty.points.loc[here, "t"] = times.astype(float)
-    told = [f for f in findings_in(dirty.write(tmp_path)) if "t03" in f.trials]
-    assert [f.field for f in told] == ["t"]
-    assert words in told[0].statement
-    assert "--fps 200" in told[0].remedy
-    assert all("clock" not in f.remedy for f in told)
+    findings = [f for f in findings_in(dirty.write(tmp_path)) if "t03" in f.trials]
+    assert [f.field for f in findings] == ["t"]
+    assert words in findings[0].statement
+    assert "--fps 200" in findings[0].remedy
+    assert all("clock" not in f.remedy for f in findings)
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.1])
@@ -183,8 +183,8 @@ def test_angles_that_wrap_are_unwrapped_with_a_note(dirty, tmp_path, cut):
     clean = dirty.arm["q1"].copy()
     start = clean.iloc[60] - cut
     dirty.arm["q1"] = start + (clean - start) % (2 * np.pi)
-    (told,) = findings_in(dirty.write(tmp_path))
-    assert (told.severity, told.field) == (Severity.NOTE, "q1")
+    (finding,) = findings_in(dirty.write(tmp_path))
+    assert (finding.severity, finding.field) == (Severity.NOTE, "q1")
     read = dataset.read_dataset(tmp_path).trials
     for name, trial in read.items():
         turned = trial.arm["q1"] - clean[dirty.arm["trial"] == name].to_numpy()

@@ -87,9 +87,9 @@ def test_a_tip_hidden_for_half_of_the_time_does_not_seem_to_fall(dirty, tmp_path
 def test_findings_without_action_are_notes(dirty, tmp_path, spoil):
     spoil(dirty)
     field, words = NOTED[spoil]
-    (told,) = findings_in(dirty.write(tmp_path))
-    assert (told.severity, told.field) == (Severity.NOTE, field)
-    assert re.search(words, told.statement), told.statement
+    (finding,) = findings_in(dirty.write(tmp_path))
+    assert (finding.severity, finding.field) == (Severity.NOTE, field)
+    assert re.search(words, finding.statement), finding.statement
 
 
 def rounded(dirty):

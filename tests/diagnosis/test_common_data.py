@@ -85,7 +85,7 @@ def fit_of(name, exponents, log_evidence=0.0):
 
 
 class Search:
-    """A rival that moves by 0.01, in a search that evaluates it where it is told.
+    """A rival that moves by 0.01, in a search that evaluates it at given exponents.
 
     evidence: at each place of the first parameter, also of the likelihood there.
     expected: the likelihood before the error is computed anew; the same if not stated.
@@ -141,7 +141,7 @@ class Search:
 
 
 @pytest.mark.parametrize(
-    ("evidence", "asked", "ended"),
+    ("evidence", "evaluated", "ended"),
     [
         ({0.1: 5.0, 0.3: 2.0, 0.11: 5.5}, [0.1, 0.3, 0.11], 0.11),  # it hardly gains
         ({0.1: 5.0, 0.3: 7.0, 0.31: 9.0, 0.32: 8.0}, [0.1, 0.3, 0.31, 0.32], 0.31),
@@ -149,12 +149,12 @@ class Search:
     ],
 )
 def test_a_rival_is_refitted_until_its_numerical_error_is_its_own(
-    evidence, asked, ended, monkeypatch
+    evidence, evaluated, ended, monkeypatch
 ):
     """It starts from its optimum or that of the best other, whichever is likelier."""
     search = Search(monkeypatch, evidence, {})
     fitted = search.fit()
-    assert search.evaluated == asked
+    assert search.evaluated == evaluated
     assert fitted.chi[0] == pytest.approx(ended)
     assert fitted.hypothesis is search.rival.hypothesis
     assert search.slopes_at == [0.1]

@@ -206,10 +206,10 @@ def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
         trials_with_outliers=trials,
         discretisation_uncertainty_m=np.array([0.1, 0.2, 8.0, 9.0]) / 1e3,
     )
-    asked = []
+    calls = []
 
     def refine(resolved):
-        asked.append(tuple(trial.name for trial in resolved.trials))
+        calls.append(tuple(trial.name for trial in resolved.trials))
         few = np.full(len(resolved.trials), 1e-4)
         return replace(resolved, discretisation_uncertainty_m=few)
 
@@ -220,7 +220,7 @@ def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
     monkeypatch.setattr(preparation, "refine_base_model", refine)
     monkeypatch.setattr(preparation, "corrected_data_of", correct)
     after = preparation.fit_base_model_to_resolved_trials(before, TOLERANCE_M)
-    assert asked == fitted
+    assert calls == fitted
     assert after.chaotic_trials == chaotic
     assert len(after.base_fit.residuals) == len(after.trials) == 4 - len(chaotic)
 

@@ -42,23 +42,23 @@ def test_the_density_of_shares_is_that_of_a_log_uniform_ratio():
 
 
 def test_probabilities_are_calibrated_for_causes_and_stand_ins():
-    """Of cases said to be there with 0.3, 0.5, 0.7 or 0.9, so many are."""
+    """Causes with a probability of 0.3, 0.5, 0.7 or 0.9 are present as often."""
     rng = np.random.default_rng(0)
     count = 4000
     log_ratio = rng.uniform(np.log(SMALLEST_RATIO), np.log(LARGEST_RATIO), count)
     standing_in = rng.uniform(LEAST_SHARE, LARGEST_SHARE, count)
     shares = np.concatenate([share_of(np.exp(log_ratio)), standing_in])
-    is_there = np.repeat([True, False], count)
-    said = np.array([probability_by_shares(np.array([share])) for share in shares])
+    is_present = np.repeat([True, False], count)
+    stated = np.array([probability_by_shares(np.array([share])) for share in shares])
     for level in (0.3, 0.5, 0.7, 0.9):
-        chosen = np.abs(said - level) < 0.05
-        assert is_there[chosen].mean() == pytest.approx(level, abs=0.06)
+        chosen = np.abs(stated - level) < 0.05
+        assert is_present[chosen].mean() == pytest.approx(level, abs=0.06)
 
 
 def test_similar_trials_count_as_one():
     once = probability_by_shares(np.array([0.97]))
     assert probability_by_shares(np.full(50, 0.97)) == pytest.approx(once)
-    # a trial that the unknown hides the cause in says little
+    # a trial in which the unknown hides the cause shows little
     assert probability_by_shares(np.array([0.9])) == pytest.approx(0.5, abs=0.1)
     assert probability_by_shares(np.array([-3.0])) == pytest.approx(0.5, abs=0.1)
     assert probability_by_shares(np.zeros(0)) == 0.5

@@ -164,7 +164,7 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
 ):
     """A trial may be outlying by causes that were wrong.
 
-    The last trial is outlying whenever it is asked. Once the causes found without it
+    The last trial is outlying in every search. Once the causes found without it
     predict it, it stays, and so do these causes.
     """
 

@@ -190,10 +190,10 @@ def curved(start):
 @pytest.mark.parametrize(("start", "offset"), [(0.1, 2e-5), (0.9, -2e-5)])
 def test_finite_differences_step_into_the_range(start, offset):
     residuals = curved(start)
-    asked = []
+    calls = []
 
     def simulate(model, chi):
-        asked.append(float(chi[0, 0]) - start)
+        calls.append(float(chi[0, 0]) - start)
         return [residuals(chi)]
 
     slopes, others = laplace._residual_slopes(
@@ -204,7 +204,7 @@ def test_finite_differences_step_into_the_range(start, offset):
         [np.array([2.0])],
         np.array([[start + 0.01]]),
     )
-    assert asked == pytest.approx([offset])
+    assert calls == pytest.approx([offset])
     assert slopes[0] == pytest.approx(np.array([[4e3 + 1e7 * offset]]))
     assert others[0] == pytest.approx(np.array([[2 + 40 + 1000]]))
 
@@ -213,10 +213,10 @@ def test_finite_differences_step_into_the_range(start, offset):
 def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(limit):
     """Of residuals of 2 with a slope of 5,000, whose loss is 4, or 3 by Huber."""
     residuals = curved(0.1)
-    asked = []
+    calls = []
 
     def count(chi):
-        asked.append(float(chi[0, 0]) - 0.1)
+        calls.append(float(chi[0, 0]) - 0.1)
         return np.repeat(residuals(chi), 3, axis=1)
 
     times = np.array([0.01, 0.06, 0.07])
@@ -227,7 +227,7 @@ def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(limit):
     )
     linear = covariance.linearise(likelihood, np.array([0.1]))
     width = 0.1 * np.sqrt(4.0 if limit == np.inf else 3.0) / 5e3
-    assert asked == pytest.approx([0.0, 1e-4, width], abs=1e-12)
+    assert calls == pytest.approx([0.0, 1e-4, width], abs=1e-12)
     assert linear.step == pytest.approx([width])
     assert linear.slope == pytest.approx(np.full((1, 3), 4e3 + 1e7 * width))
     assert linear.residual == pytest.approx(np.full(3, 2.0))
@@ -312,10 +312,10 @@ def test_parameters_of_a_hypothesis_are_found_among_those_of_its_model(arm, came
 
 def test_a_partly_diverged_trial_is_diverged():
     rows = np.array([[1.0, 2.0], [3.0, DIVERGED_RESIDUAL]])
-    asked = []
+    calls = []
 
     def whiten(residuals, grid_points):
-        asked.append(list(grid_points))
+        calls.append(list(grid_points))
         return [residual / 10 for residual in residuals]
 
     data = SimpleNamespace(
@@ -328,7 +328,7 @@ def test_a_partly_diverged_trial_is_diverged():
     assert first.tolist() == [[0.1, 0.2], [DIVERGED_RESIDUAL, DIVERGED_RESIDUAL]]
     assert second == pytest.approx(np.array([[0.1], [0.3]]))
     Likelihood(data, None, np.array([4, 5])).residuals_by_trial(None)
-    assert asked == [[0, 0], [4, 5]]
+    assert calls == [[0, 0], [4, 5]]
     assert likelihood.noise_scales == (2, 3)
 
 

@@ -293,21 +293,21 @@ def test_residuals_of_the_initial_state_are_white_or_those_of_divergence(monkeyp
 
 def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
     """The noise is that of residuals with the amplitudes as they are."""
-    asked = []
+    calls = []
 
     def residuals(trial, values, amplitudes):
-        asked.append((len(trial.times), amplitudes))
+        calls.append((len(trial.times), amplitudes))
         return np.array([[2.0, -4.0, 4.0, -4.0]])
 
     def fit_state(*given):
-        asked.append(given)
+        calls.append(given)
         return given[0]
 
     monkeypatch.setattr(initial_modes, "_residuals_at_amplitudes", residuals)
     monkeypatch.setattr(initial_modes, "fit_initial_state", fit_state)
     trial = moving_trial(np.arange(12.0), memory=0.25)
     initial_modes.refine_initial_state(trial, "values", 0.4)
-    (frames, amplitudes), fit = asked
+    (frames, amplitudes), fit = calls
     assert frames == 3  # up to and with 0.4 s
     assert amplitudes == pytest.approx(np.array([[*range(12), 0.5]]))
     assert fit[0] is trial
@@ -317,7 +317,7 @@ def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
     assert fit[4] == initial_modes.STATE_MIN_GAIN
     assert fit[5] == 2.0  # outliers count less
     initial_modes.refine_initial_state(trial, "values")
-    assert asked[2][0] == 3  # half a second
+    assert calls[2][0] == 3  # half a second
 
     monkeypatch.setattr(
         initial_modes,

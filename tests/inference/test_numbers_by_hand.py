@@ -363,13 +363,13 @@ def test_candidates_are_screened_on_the_coarsest_mesh_at_the_first_horizon(monke
     ladder = [Mesh("fine"), Mesh("coarse")]
     monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
     monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: ladder)
-    asked = []
+    calls = []
     monkeypatch.setattr(
-        search, "_mean_square", lambda early, chi: asked.append(early) or chi[:, 0]
+        search, "_mean_square", lambda early, chi: calls.append(early) or chi[:, 0]
     )
     chi = np.array([[0.3], [0.1], [0.2]])
     assert search.screen_candidates(None, chi, 2).ravel() == pytest.approx([0.1, 0.2])
-    assert asked == [("coarse", 0.1)]
+    assert calls == [("coarse", 0.1)]
 
 
 def test_the_better_half_of_the_starts_goes_on_from_different_places():
@@ -418,10 +418,10 @@ def test_a_round_that_raises_the_noise_is_rejected_except_the_first(monkeypatch)
 def test_slopes_of_the_initial_state_step_away_from_the_bounds(monkeypatch):
     start = np.array([0.4, 0.0, -0.3])
     shapes = np.arange(12.0).reshape(3, 4)
-    asked = []
+    calls = []
 
     def residuals(trial, values, amplitudes):
-        asked.append(amplitudes)
+        calls.append(amplitudes)
         return amplitudes @ shapes
 
     monkeypatch.setattr(initial_modes, "initial_amplitudes", lambda trial: start)
@@ -429,7 +429,7 @@ def test_slopes_of_the_initial_state_step_away_from_the_bounds(monkeypatch):
     trial = SimpleNamespace(initial_state="known", points=np.zeros((2, 2)))
     columns = initial_modes.initial_mode_columns(trial, None)
     assert columns == pytest.approx(shapes.T)
-    assert list(np.sign(np.diag(asked[0][1:] - asked[0][0]))) == [-1, 1, 1]
+    assert list(np.sign(np.diag(calls[0][1:] - calls[0][0]))) == [-1, 1, 1]
 
 
 def film(frames, points, rng):

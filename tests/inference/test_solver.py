@@ -41,7 +41,7 @@ class Decay:
     truth: np.ndarray = field(default_factory=lambda: TRUTH)
     limit: float = np.inf
     noise: np.ndarray = field(default_factory=lambda: np.zeros(len(TIMES)))
-    asked: list[int] = field(default_factory=list)
+    batches: list[int] = field(default_factory=list)
     candidates_at_once: int = 1
 
     def seen(self, values):
@@ -51,7 +51,7 @@ class Decay:
         )
 
     def residuals(self, chi):
-        self.asked.append(len(chi))
+        self.batches.append(len(chi))
         return (
             self.seen(parameter_values(self.parameters, chi))
             - self.seen(self.truth[None])
@@ -135,18 +135,18 @@ def test_an_iteration_takes_few_batches_and_finished_runs_cost_nothing():
     """
     problem = Decay()
     fit_least_squares(problem, np.full((8, 2), 0.5), 1)
-    assert problem.asked == [8, 16, 16]
+    assert problem.batches == [8, 16, 16]
     problem = Decay()
     fit_least_squares(problem, np.full((8, 2), 0.9), 1)
-    assert problem.asked == [8, 16, 16, 48]
+    assert problem.batches == [8, 16, 16, 48]
 
     noise = np.random.default_rng(3).standard_normal(len(TIMES))
     optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi[0]
     problem = Decay(noise=noise)
     fit_least_squares(problem, np.stack([optimum, [0.1, 0.1]]), 30)
-    assert problem.asked[:2] == [2, 4]
-    assert len(problem.asked) > 4
-    assert max(problem.asked[2:]) <= 6
+    assert problem.batches[:2] == [2, 4]
+    assert len(problem.batches) > 4
+    assert max(problem.batches[2:]) <= 6
 
 
 def test_the_best_start_in_each_place_is_kept():
@@ -158,7 +158,7 @@ def test_the_best_start_in_each_place_is_kept():
 
     problem = Decay()
     assert distinct_starts(problem, starts[:1]).tolist() == [far]
-    assert not problem.asked
+    assert not problem.batches
 
 
 def test_a_run_at_its_optimum_costs_only_its_finite_differences():
@@ -167,7 +167,7 @@ def test_a_run_at_its_optimum_costs_only_its_finite_differences():
     optimum = fit_least_squares(problem, np.full((1, 2), 0.5)).chi
     problem = Decay(noise=noise)
     again = fit_least_squares(problem, optimum)
-    assert problem.asked == [1, 2]
+    assert problem.batches == [1, 2]
     assert again.chi.tolist() == optimum.tolist()
 
 
@@ -260,13 +260,13 @@ def test_a_run_stops_if_no_step_gains_and_the_predicted_gain_is_small():
     optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi
     pit = Pit(noise=noise, place=optimum[0, 0])
     fit_least_squares(pit, optimum, 60, min_gain=30.0)
-    assert pit.asked == [1, 2, 2, 6]  # start, differences, steps
+    assert pit.batches == [1, 2, 2, 6]  # start, differences, steps
     wide = Pit(noise=noise, place=optimum[0, 0], candidates_at_once=8)
     fit_least_squares(wide, optimum, 60, min_gain=30.0)
-    assert wide.asked == [1, 2, 8]
+    assert wide.batches == [1, 2, 8]
     eager = Pit(noise=noise, place=optimum[0, 0])
     fit_least_squares(eager, optimum, 60, min_gain=1.0)
-    assert len(eager.asked) > 8
+    assert len(eager.batches) > 8
 
 
 def test_held_exponents_do_not_move():

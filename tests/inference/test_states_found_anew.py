@@ -63,14 +63,14 @@ def test_a_wrong_initial_state_is_corrected_from_the_motion(trial, hypothesis, t
     found, the residual is noise. Mode amplitudes count from the state of the first
     frames, wherever the search began.
     """
-    far, told = (
+    far, measured = (
         attach_discrepancy_model([each], hypothesis, true)
         for each in (begun(trial, 4.0, -3.0, 2.0), trial)
     )
     off = evaluate_fit(far, hypothesis, true)
     near, found = (
         with_initial_states_at(with_initial_states_at(data, off), off)
-        for data in (far, told)
+        for data in (far, measured)
     )
     here, there = (evaluate_fit(data, hypothesis, true) for data in (near, found))
     assert far.tip_rms_by_trial(mean_discrepancy(far, off))[0] > 5 * NOISE

@@ -97,12 +97,12 @@ def test_points_are_sampled_at_their_frame_and_place(monkeypatch):
     trial = lying_trial(
         model=SimpleNamespace(string=SimpleNamespace(segment_length=0.05))
     )
-    asked = []
+    calls = []
     monkeypatch.setattr(
-        prepared_trial, "interpolate_measurements", lambda *given: asked.append(given)
+        prepared_trial, "interpolate_measurements", lambda *given: calls.append(given)
     )
     trial.sample_at_points("strings")
-    strings, frame, position = asked[0]
+    strings, frame, position = calls[0]
     assert strings == "strings"
     assert frame is trial.frame
     assert position == pytest.approx(np.tile([2.0, 6.0], 4))
@@ -118,21 +118,21 @@ def test_distances_are_of_all_points_and_of_those_nearest_the_tip():
 
 def test_candidates_are_simulated_in_chunks_with_their_own_states(monkeypatch):
     monkeypatch.setattr(prepared_trial, "MAX_BATCH_CANDIDATES", 2)
-    asked = []
+    calls = []
 
     def simulate(motion, values, times, start, turn):
-        asked.append((values.ravel().tolist(), start, turn))
-        return len(asked)
+        calls.append((values.ravel().tolist(), start, turn))
+        return len(calls)
 
     fake = SimpleNamespace(simulate_observation=simulate)
     values = np.arange(5.0)[:, None]
     found = list(lying_trial(model=fake, turn=0.7).simulate(values))
     assert found == [(slice(0, 2), 1), (slice(2, 4), 2), (slice(4, 5), 3)]
-    assert asked == [([0, 1], None, 0.7), ([2, 3], None, 0.7), ([4], None, 0.7)]
+    assert calls == [([0, 1], None, 0.7), ([2, 3], None, 0.7), ([4], None, 0.7)]
     states = np.arange(5.0)[:, None]
     state = StringState(1.0, np.array([0.1]), states, 2 * states)
     list(lying_trial(model=fake, initial_state=state).simulate(values))
-    assert [start.angle.ravel().tolist() for _, start, _ in asked[3:]] == [
+    assert [start.angle.ravel().tolist() for _, start, _ in calls[3:]] == [
         [0, 1],
         [2, 3],
         [4],
@@ -285,10 +285,10 @@ def test_trials_in_a_batch_are_simulated_as_alone(model, names, monkeypatch):
 
 def test_residuals_do_not_depend_on_chunks(monkeypatch):
     monkeypatch.setattr(batch, "MAX_BATCH_S", 100.0)
-    asked = []
+    calls = []
 
     def simulate(model, trials, values):
-        asked.append(len(values))
+        calls.append(len(values))
         return [values, 2 * values]
 
     monkeypatch.setattr(batch, "simulate_trials", simulate)
@@ -302,7 +302,7 @@ def test_residuals_do_not_depend_on_chunks(monkeypatch):
     first, second = batch._simulate_points(None, trials, values)
     assert first == pytest.approx(values + 1)
     assert second == pytest.approx(2 * values + 1)
-    assert asked == [20, 20, 5]  # of 5 s each, in 100 s
+    assert calls == [20, 20, 5]  # of 5 s each, in 100 s
 
 
 def test_a_mesh_correction_is_linear_at_its_centre_and_saturates():
@@ -455,10 +455,10 @@ def test_each_trial_has_the_noise_of_its_own_residual(monkeypatch):
 
 
 def test_states_are_refined_over_a_span_and_the_loss_is_then_robust(monkeypatch):
-    asked = []
+    calls = []
 
     def refine(trial, values, span):
-        asked.append((values.tolist(), span))
+        calls.append((values.tolist(), span))
         return "refined"
 
     monkeypatch.setattr(search, "refine_initial_state", refine)
@@ -471,7 +471,7 @@ def test_states_are_refined_over_a_span_and_the_loss_is_then_robust(monkeypatch)
     found = search.with_refined_initial_states(likelihood, np.array([0.3]))
     assert found.data.trials == ("refined", "refined")
     assert found.limit == 2.0
-    assert asked == [([0.6], np.inf)] * 2
+    assert calls == [([0.6], np.inf)] * 2
 
 
 def test_survivors_of_a_horizon_are_chosen_with_the_noise_of_the_best_start(
@@ -480,15 +480,15 @@ def test_survivors_of_a_horizon_are_chosen_with_the_noise_of_the_best_start(
     monkeypatch.setattr(search, "with_estimated_noise", lambda *given: given)
     chi = np.array([[3.0], [4.0], [5.0]])
     runs = SimpleNamespace(chi=chi, residual="residual", loss="loss")
-    asked = []
+    calls = []
     monkeypatch.setattr(
-        search, "fit_least_squares", lambda *given: asked.append(given) or runs
+        search, "fit_least_squares", lambda *given: calls.append(given) or runs
     )
     monkeypatch.setattr(search, "_survivors", lambda residual, loss: [2, 0])
     starts = np.array([[0.1], [0.2], [0.3]])
     found = search._fit_until_horizon("likelihood", starts, 7)
     assert found.tolist() == [[5.0], [3.0]]
-    (noise_at, given, iterations) = asked[0]
+    (noise_at, given, iterations) = calls[0]
     assert noise_at[0] == "likelihood"
     assert noise_at[1].tolist() == [0.1]
     assert given is starts
@@ -502,16 +502,16 @@ def test_misfit_is_the_mean_square_of_residuals_of_each_candidate():
 
 
 def test_exponents_are_refined_with_a_small_minimum_gain(monkeypatch):
-    asked = []
+    calls = []
 
     def fit(likelihood, starts, max_iterations, min_gain):
-        asked.append((likelihood, starts.tolist(), max_iterations, min_gain))
+        calls.append((likelihood, starts.tolist(), max_iterations, min_gain))
         return SimpleNamespace(chi=starts + 1)
 
     monkeypatch.setattr(search, "fit_least_squares", fit)
     found = search.refine_exponents("likelihood", np.array([0.1, 0.2]), 7)
     assert found == pytest.approx([1.1, 1.2])
-    assert asked == [("likelihood", [[0.1, 0.2]], 7, 0.005)]
+    assert calls == [("likelihood", [[0.1, 0.2]], 7, 0.005)]
 
 
 def test_refinement_takes_at_most_ten_rounds(monkeypatch):
