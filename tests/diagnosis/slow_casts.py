@@ -1,4 +1,4 @@
-"""Two slow casts of string B by the own kernel: a quick dataset for a diagnosis."""
+"""Two slow casts of string B by the own kernel: a dataset for fast diagnoses."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -30,14 +30,14 @@ def write_slow_casts(
     settings: Mapping[str, float],
     only_cast: int | None = None,
 ) -> None:
-    """Write a dataset of two slow casts that hides something.
+    """Write a dataset of two slow casts with hidden causes.
 
     Parameters
     ----------
-    folder : for the dataset
+    folder : of the dataset
     arm, camera : of the lab
     settings : of the hidden causes, by name
-    only_cast : number of the one cast in which it acts, None for both
+    only_cast : number of the only cast in which they act, None for both
     """
     rng = np.random.default_rng(SEED)
     string = yaml.safe_load((ROOT / "conf/specimen/B.yaml").read_text())

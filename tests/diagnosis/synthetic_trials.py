@@ -23,7 +23,7 @@ CRITERIA = Criteria(
 
 
 def swing_angles(arm, count, seconds=0.5):
-    """Yield joint angles of gentle swings there and back, each of another size."""
+    """Yield joint angles of gentle swings of different sizes."""
     for k in range(count):
         control = np.zeros((1, 3, 6))
         control[0, :, 1:-1] = (1.5 + 0.5 * k) * SWING
@@ -38,7 +38,7 @@ def sample_curve(arm, control, seconds):
 
 
 def simulate_trial(name, arm, model, values, angles, places, rng):
-    """Simulate a trial with noisy points at the mass points of given numbers.
+    """Simulate a trial with noisy points at some mass points.
 
     `angles` holds joint angles, one row a tick.
     """
@@ -63,7 +63,7 @@ def make_observation(name, model, t, angles, clean, places, rng, **fields):
 
 
 def diagnose_trials(model, observations, starts, held_out=(), motions=1, **settings):
-    """Diagnose trials with as few motions and rated frames as are allowed."""
+    """Diagnose trials with the fewest allowed motions and rated frames."""
     design = DesignSettings(
         motions=motions, shortest=0.4, longest=0.8, alpha=150.0, before=0.05, after=0.1
     )

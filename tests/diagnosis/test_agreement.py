@@ -10,9 +10,9 @@ from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
 
 
 def bayes_factor(estimates, amplitude, *, move=lambda chi: chi - 0.5, amplitudes=None):
-    """Compare estimates (G, P) of the fits without each group, absent at 0.5.
+    """Compute the Bayes factor from estimates (G, P) without each group, absent at 0.5.
 
-    move: how a cause moves points (C, N) at exponents (C, P).
+    move: returns the displacement (C, N) by a cause at exponents (C, P).
     """
     size = len(amplitude)
     hypothesis = SimpleNamespace(
@@ -32,13 +32,13 @@ def bayes_factor(estimates, amplitude, *, move=lambda chi: chi - 0.5, amplitudes
 
 
 def leave_each_out(single):
-    """Average all estimates (K, A) of single trials but one, (K, A)."""
+    """Average estimates (K, A) of single trials without each in turn, (K, A)."""
     single = np.array(single)
     return (single.sum(axis=0) - single) / (len(single) - 1)
 
 
 def test_the_bayes_factor_is_that_of_a_t_test_of_trial_estimates():
-    """Of means, the jackknife is the standard error of the mean."""
+    """For means, the jackknife error is the standard error of the mean."""
     single = np.array([[0.10], [0.14], [0.09], [0.11]])
     t = single.mean() / (single.std(ddof=1) / 2)
     expected = (1 + t**2 / 3) ** 2 / 2
@@ -58,7 +58,7 @@ def test_a_vector_may_have_a_component_that_is_absent():
 
 
 def test_correlated_parameters_do_not_prevent_agreement():
-    """A yield moment and a stiffness of dry friction, of which the product counts."""
+    """Only the product of a yield moment and a stiffness of dry friction matters."""
     amplitude = np.array([0.2, 0.1, 0.3, 0.15])
     other = 0.06 / amplitude
     estimates = np.stack([amplitude, other], axis=1)
@@ -77,7 +77,7 @@ def test_trials_that_agree_exactly_give_a_finite_number():
 
 
 def test_an_absent_cause_seldom_passes():
-    """At a Bayes factor of 100, by chance in less than one of a hundred sets."""
+    """At a Bayes factor of 100, it passes by chance in less than 1 % of datasets."""
     rng = np.random.default_rng(7)
     passed = 0
     for _ in range(500):
@@ -92,13 +92,13 @@ def test_an_absent_cause_seldom_passes():
         (20, [], 0.5),
         (60, [], 0.75),
         (60, [1, 2], 0.75),
-        (1e9, [1], 1 / 21),  # one trial confirms nothing
+        (1e9, [1], 1 / 21),  # a single trial confirms nothing
     ],
 )
 def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
     bayes_factor, touched, probability, monkeypatch
 ):
-    """One of the candidates is as likely as none, before the trials are seen."""
+    """The prior probability that one of the candidates is active is one half."""
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: np.log(bayes_factor)
     )
@@ -111,9 +111,9 @@ def test_the_odds_are_the_bayes_factor_over_the_number_of_candidates(
 
 
 def test_a_cause_that_varies_is_estimated_with_one_amplitude_for_all(monkeypatch):
-    """With one of each trial besides, that of all would hardly be determined.
+    """With one amplitude per trial in addition, the common one is hardly determined.
 
-    The set of a measured strip would have been set aside.
+    With these, the set of a measured strip would have been set aside.
     """
     shared = SimpleNamespace(random_effects={}, trials=range(4))
     varying = SimpleNamespace(

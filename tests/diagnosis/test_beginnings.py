@@ -1,4 +1,4 @@
-"""Released strings: first frames determine the initial state, which is no cause."""
+"""Released strings: a wrong initial state is not mistaken for a cause."""
 
 import numpy as np
 import pytest
@@ -24,14 +24,14 @@ EFFECTS = (
 
 
 def bent_state(turn):
-    """Make the state of a string at rest that turns by `turn` [rad] up to its tip."""
+    """Make the state of a string at rest that is bent by `turn` [rad] up to its tip."""
     s = np.linspace(0, LENGTH_M, 41)
     angle = -np.pi / 2 + turn * s / LENGTH_M
     return StringState(0.0, s, angle, np.zeros(41))
 
 
 def simulate_releases(model, wind):
-    """Yield three strings that are released in a wind to the right [m/s]."""
+    """Yield three trials of strings released in a wind to the right [m/s]."""
     windy = model.with_effects(*find_effects(["wind"])).with_segments(40)
     rng = np.random.default_rng(0)
     truth = {**TRUTH, "wind.along_x": wind, "wind.along_y": 0.0}

@@ -8,9 +8,9 @@ from stringcast.stages.diagnose import budget
 
 
 def test_a_cause_that_explains_nothing_has_a_share_of_zero(monkeypatch):
-    """A cause that explains nothing by itself has zero, and not less.
+    """The share of a cause that explains nothing by itself is zero, not negative.
 
-    The tip is 2.0 mm off, 2.1 mm with the first cause, and 1.0 mm with both.
+    The misfit is 2.0 mm, 2.1 mm with the first cause, and 1.0 mm with both.
     """
     clamp, curvature = SimpleNamespace(name="clamp"), SimpleNamespace(name="set")
     off_m = {(): 2.0e-3, (clamp.name,): 2.1e-3, (clamp.name, curvature.name): 1.0e-3}

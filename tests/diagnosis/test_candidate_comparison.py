@@ -1,4 +1,4 @@
-"""Comparison of candidates: which are fitted and refined, and which of them leads."""
+"""Comparison of candidates: which are fitted and refined, and which one leads."""
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
 
 @dataclass(frozen=True)
 class NamedFit:
-    """A fit of which little is known."""
+    """A fit with only the fields that a comparison uses."""
 
     name: str
     log_evidence: float
@@ -33,14 +33,14 @@ class NamedFit:
 
 
 def named_fit(name, log_evidence):
-    """Name a fit by its cause."""
+    """Return a fit with a name for its cause."""
     hypothesis = SimpleNamespace(cause_names=(name,), causes=(name,))
     return NamedFit(name, log_evidence, hypothesis)
 
 
 @pytest.fixture
 def limited(monkeypatch):
-    """Return a set of causes that are at the end of their range, none at first."""
+    """Return a set for the causes at the end of their range, initially empty."""
     names = set()
     monkeypatch.setattr(
         selection_step, "is_inside_range", lambda fit, cause: cause not in names
@@ -50,13 +50,13 @@ def limited(monkeypatch):
 
 @pytest.fixture
 def fitted_parents(monkeypatch):
-    """Let parents be at their optimum."""
+    """Replace refits of parents by the parents themselves."""
     monkeypatch.setattr(candidate_comparison, "refit", lambda data, fit, *given: fit)
 
 
 @pytest.fixture(autouse=True)
 def named_contact(monkeypatch):
-    """Let an effect that is a name be a contact if it is called so."""
+    """Treat an effect as a contact if its name says so."""
     monkeypatch.setattr(
         candidate_comparison,
         "is_position_dependent",
@@ -65,7 +65,7 @@ def named_contact(monkeypatch):
 
 
 def compare_as_found(prepared, rivals, fitted_before=(), min_gain=1.0):
-    """Say that rivals have the same evidence on common data."""
+    """Give rivals the same evidence on common data."""
     return rivals
 
 
@@ -77,9 +77,9 @@ def compare_as_found(prepared, rivals, fitted_before=(), min_gain=1.0):
         ((0.0, 5e-3), (0.0, 4e-3), (5e-3, 5e-3), "uncertain"),
         # two other trials are resolved
         ((0.0, 1e-3, 0.0), (0.0, 4e-3, 0.0), (5e-3, 5e-3, 5e-3), "uncertain"),
-        # there is much more to explain, but most trials would be left out
+        # the misfit is much larger, but most trials would be left out
         ((0.0,) * 5, (0.0, 0.0, 4e-3, 4e-3, 4e-3), (0.02,) * 5, "resolved"),
-        # there is much more to explain
+        # the misfit is much larger
         ((0.0, 1e-3), (0.0, 4e-3), (5e-3, 0.02), "uncertain"),
     ],
 )
@@ -115,7 +115,7 @@ def test_a_cause_with_too_few_resolved_trials_is_not_accepted(
     step = compare_rivals(prepared, given, given, CRITERIA)
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
-    # It has more evidence, some of which may be what is uncertain
+    # It has more evidence, part of which may be numerical error
     ahead = [fit.name for fit in step.unresolved]
     assert ahead == ([] if all_as_before else ["uncertain"])
     behind = replace(given, fits=[fits[0], named_fit("resolved", 70.0)])
@@ -124,9 +124,9 @@ def test_a_cause_with_too_few_resolved_trials_is_not_accepted(
 
 
 def compare_rivals(monkeypatch, found, common):
-    """Compare fits that have other evidence on common data than when found.
+    """Compare fits whose evidence on common data differs from their first evidence.
 
-    Returns the step, and which fits were compared in the end.
+    Returns the step, and the fits that were compared.
     """
     compared = []
 
@@ -157,7 +157,7 @@ def compare_rivals(monkeypatch, found, common):
 
 
 def test_a_rival_that_was_not_compared_does_not_lead(limited, monkeypatch):
-    """The fourth of 75 mm strips was named, as common data took 90 from the others."""
+    """The fourth candidate was named because common data took 90 from the others."""
     found = {
         "set": 730.0,
         "wind": 694.0,
@@ -173,7 +173,7 @@ def test_a_rival_that_was_not_compared_does_not_lead(limited, monkeypatch):
         "angle": 0.0,
     }
     step, compared = compare_rivals(monkeypatch, found, common)
-    assert compared == ["set", "wind", "camera"]  # the fourth is ahead by a trifle
+    assert compared == ["set", "wind", "camera"]  # the fourth is slightly ahead
     assert step.best.name == "set"
 
     common = {**common, "set": 600.0}
@@ -184,7 +184,7 @@ def test_a_rival_that_was_not_compared_does_not_lead(limited, monkeypatch):
 
 
 def test_the_rival_with_most_evidence_on_common_data_leads(limited, monkeypatch):
-    """A wind gained 145 by the numerical error that was subtracted at its own fit."""
+    """A wind gained 145 only because numerical error was subtracted at its own fit."""
     found = {"wind": 719.0, "set": 633.0}
     common = {"wind": 574.0, "set": 633.0}
     step, _ = compare_rivals(monkeypatch, found, common)
@@ -195,7 +195,7 @@ def test_the_rival_with_most_evidence_on_common_data_leads(limited, monkeypatch)
 def test_a_common_shift_of_evidence_does_not_change_the_order_of_rivals(
     limited, monkeypatch
 ):
-    """All 21 candidates in a cable were refined, one by one, as each lost about 15."""
+    """All 21 candidates for a cable were refined, because each lost about 15."""
     found = {"slip": 23.0, "offset": 22.0, "drift": 21.0, "lag": 20.0}
     common = {"": -15.0, "slip": 8.0, "offset": 6.0, "drift": 5.0}
     step, compared = compare_rivals(monkeypatch, found, common)
@@ -250,7 +250,7 @@ def test_only_rivals_close_to_the_best_are_fitted_precisely(
 
 
 def test_a_rival_that_explains_less_than_its_parent_is_refitted_from_it(monkeypatch):
-    """Rivals were up to 286 behind a parent that had found a better minimum."""
+    """The parent had found a better minimum, and rivals were up to 286 behind it."""
     fitted = []
 
     def fit(prepared, rivals, fitted_before):
@@ -261,7 +261,7 @@ def test_a_rival_that_explains_less_than_its_parent_is_refitted_from_it(monkeypa
     monkeypatch.setattr(rival_comparison, "fit_to_common_data", fit)
     parent = NamedFit("", 50.0, log_likelihood_by_trial=np.array([40.0, 20.0]))
     ahead = replace(named_fit("set", 60.0), log_likelihood_by_trial=np.array([75.0]))
-    # An amplitude of no use costs evidence, and no likelihood
+    # A useless amplitude costs evidence, but not likelihood
     alike = replace(named_fit("wind", 45.0), log_likelihood_by_trial=np.array([59.5]))
     behind = replace(named_fit("tilt", 52.0), log_likelihood_by_trial=np.array([20.0]))
     fits = rival_comparison._catch_up_with_parent(None, parent, [ahead, behind, alike])
@@ -276,7 +276,7 @@ def test_a_rival_that_explains_less_than_its_parent_is_refitted_from_it(monkeypa
 def test_a_rival_inside_its_range_ranks_above_one_at_its_end(
     inside, leader, limited, monkeypatch
 ):
-    """A tilt of gravity at its limit was a stand-in for the set of a strip."""
+    """A tilt of gravity at its limit was accepted instead of the set of a strip."""
     limited |= {"tilt", "angle", "camera"}
     found = {"tilt": 100.0, "angle": 99.0, "camera": 98.0, "set": inside}
     step, compared = compare_rivals(monkeypatch, found, found)
@@ -288,7 +288,7 @@ def test_a_rival_inside_its_range_ranks_above_one_at_its_end(
     ("evidence", "angle", "expected"),
     [
         (50.0, 0.2, [*SIX, "e8"]),
-        (50.0, 1.0, SIX),  # it could explain three tenths of what the best cause does
+        (50.0, 1.0, SIX),  # it could reach three tenths of the best cause's gain
         (1.0, 0.2, SIX),  # nothing is accepted
     ],
 )
@@ -343,7 +343,7 @@ EIGHT = [*SIX, "e6", "contact"]
     ("accepted", "left_mm", "is_contested", "expected"),
     [
         (False, 9.0, False, EIGHT),
-        (True, 9.0, False, [*SIX, "e6"]),  # a stand-in: it explains a fifth
+        (True, 9.0, False, [*SIX, "e6"]),  # it explains a fifth
         (True, 5.0, False, SIX),  # it explains three quarters
         (True, 9.0, True, SIX),  # others were fitted before
     ],
@@ -351,10 +351,10 @@ EIGHT = [*SIX, "e6", "contact"]
 def test_all_others_are_fitted_if_the_best_explains_little(
     accepted, left_mm, is_contested, expected, fitted_parents, monkeypatch
 ):
-    """A solid that relaxes gained 400, promised 4, and was not tried beside slip.
+    """Relaxation had a predicted gain of 4, gained 400, and was not tried after slip.
 
-    A contact that promises little is tried only if nothing was accepted: in a strip
-    that touches nothing, one gained 1098.
+    A contact with a small predicted gain is tried only if nothing was accepted: one in
+    a strip that touches nothing gained 1098.
 
     They are compared with the parent on the data of the search: refined rivals and
     their parent are fitted to other data.
@@ -408,12 +408,12 @@ def test_all_others_are_fitted_if_the_best_explains_little(
 def test_a_better_minimum_without_a_cause_replaces_the_parent_first(
     without, parents, fitted_parents, monkeypatch
 ):
-    """All 21 candidates gained 14 to 23 in a cable, as its parent was 18 too low."""
+    """All 21 candidates for a cable gained 14 to 23: its parent was 18 too low."""
     candidate = named_fit("wind", 20.0)
     refined = []
 
     def fit_without(data, hypothesis, starts, *given):
-        assert starts.tolist() == [[0.0], [0.4]]  # the parent's, and the candidate's
+        assert starts.tolist() == [[0.0], [0.4]]  # of the parent and of the candidate
         return replace(parent, log_evidence=without)
 
     def refine(prepared, step, *given):
@@ -443,7 +443,7 @@ def test_a_better_minimum_without_a_cause_replaces_the_parent_first(
 
 
 def test_candidates_are_first_fitted_to_a_sample_of_many_trials(monkeypatch):
-    """Fewer than twice as many as a sample has are all taken."""
+    """Less than twice the size of a sample are not sampled."""
 
     def evaluate(data, *given):
         return f"fit to {len(data)}"
@@ -472,13 +472,13 @@ def test_candidates_are_first_fitted_to_a_sample_of_many_trials(monkeypatch):
         (40.0, -9.0, 40.0),
         (25.0, 40.0, 40.0),
         (-1.0, 9.0, -1.0),  # it explains nothing
-        (15.0, 40.0, 15.0),  # it explains less than half of what the best does
+        (15.0, 40.0, 15.0),  # it gains less than half of what the best gains
     ],
 )
 def test_a_rough_correction_does_not_lower_the_evidence_of_a_proposal(
     first, corrected, kept, monkeypatch, limited
 ):
-    """One finer mesh only estimates the error: the refined fits are compared later."""
+    """One finer mesh gives only a rough error; refined fits are compared later."""
     evidence = {"plain": first, "corrected": corrected}
 
     def fit(data, *given):
@@ -511,7 +511,7 @@ def test_a_rough_correction_does_not_lower_the_evidence_of_a_proposal(
 def test_a_fit_worse_than_its_parent_is_restarted_without_the_cause(
     proposed, starts, monkeypatch
 ):
-    """The parent is a candidate in which the cause is absent."""
+    """The model with the cause contains its parent."""
     ends = {0.9: proposed, 0.2: 8.0}
     tried = []
 

@@ -1,4 +1,4 @@
-"""Candidate effects, and where those that depend on place may act."""
+"""Candidate effects, and places of those that depend on place."""
 
 from dataclasses import replace
 
@@ -105,7 +105,7 @@ def test_no_plane_is_proposed_on_the_path_of_the_hand(arm, model, trials):
 def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
     """A plane in the path of the second swing is found.
 
-    It stands 2 cm in the path, in the last 0.05 s.
+    The string penetrates it by 2 cm, in the last 0.05 s.
     """
     base = Hypothesis(model)
     touching = base.with_cause(effects_by_name()["contact"])
@@ -137,7 +137,7 @@ def test_a_plane_is_found_that_one_trial_touches_late(arm, model):
 
 
 def test_a_users_field_effect_is_proposed_like_wind(arm, model, effects_folder):
-    """It depends on the place, but acts everywhere: it is no contact."""
+    """It depends on place but acts everywhere, and so is not a contact."""
     (effects_folder / "tether.py").write_text(TETHER)
     (tether,) = find_effects(["tether"])
     base = Hypothesis(model)
@@ -153,7 +153,7 @@ def test_a_users_field_effect_is_proposed_like_wind(arm, model, effects_folder):
 
 
 def test_every_effect_is_proposed_or_has_a_reason(arm, model):
-    """None of the library is silently out of a diagnosis's reach."""
+    """No effect of the library is left out of a diagnosis without a reason."""
     trials = simulate_swings(arm, model, model, TRUTH, 0.6)
     base = Hypothesis(model)
     chi = base.model.exponents_of_values(

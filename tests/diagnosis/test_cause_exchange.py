@@ -1,4 +1,4 @@
-"""Exchange of two causes at once, each of which is the best with the other."""
+"""Exchange of two causes at once, each of them the best with the other."""
 
 from types import SimpleNamespace
 
@@ -46,11 +46,11 @@ def state(arm):
 @pytest.mark.parametrize(
     ("rough", "common", "ended"),
     [
-        # what leads after a rough fit need not lead in the end
+        # the leading rough fit may not be the best in the end
         ((130.0, 120.0), (110.0, 140.0), "grasp_angle"),
         ((130.0, 90.0), (110.0, 105.0), "rest_curvature"),
         ((130.0, 120.0), (99.0, 98.0), "camera_rotation"),
-        # it loses more than half of what the last cause has gained
+        # it loses more than half of the last cause's gain
         ((79.0, 81.0), (200.0, 110.0), "grasp_angle"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Rivals on what was measured, with nothing subtracted."""
+"""Rivals compared on the measured points, with nothing subtracted."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -49,9 +49,9 @@ def prepared_at(trials, hypothesis, chi):
 def test_evidence_does_not_depend_on_the_fit_at_which_data_were_corrected(
     trials, hypothesis
 ):
-    """The numerical error of another fit, which was subtracted, is not that of a fit.
+    """The data were corrected with the numerical error of another fit.
 
-    The error model is that of one of them.
+    All have the error model of one of these fits.
     """
     chi = hypothesis.model.exponents_of_values(TRUTH)
     own = prepared_at(trials, hypothesis, chi)
@@ -72,12 +72,12 @@ def test_evidence_does_not_depend_on_the_fit_at_which_data_were_corrected(
         evaluated.append(at_chi.fit.log_likelihood_by_trial.sum())
     assert abs(on_corrected) > 1
     assert evaluated[0] == pytest.approx(evaluated[1], abs=1e-6)
-    # One finer mesh instead of two, and marks that move as at other parameters
+    # Small differences remain: one finer mesh, and marks linearised at another fit
     assert evaluated[1] == pytest.approx(log_likelihood(own.data), abs=0.2)
 
 
 def fit_of(name, exponents, log_evidence=0.0):
-    """Return a fit of exponents by name, as far as a comparison knows it."""
+    """Return a fit with the fields that a comparison uses."""
     hypothesis = SimpleNamespace(name=name, model=SimpleNamespace(names=[*exponents]))
     hypothesis.exponents_from = lambda known: np.array([known[e] for e in exponents])
     chi = np.array([*exponents.values()])
@@ -87,8 +87,8 @@ def fit_of(name, exponents, log_evidence=0.0):
 class Search:
     """A rival that moves by 0.01, in a search that evaluates it at given exponents.
 
-    evidence: at each place of the first parameter, also of the likelihood there.
-    expected: the likelihood before the error is computed anew; the same if not stated.
+    evidence: evidence and likelihood by value of the first parameter.
+    expected: predicted likelihood; that of `evidence` if not stated.
     """
 
     def __init__(self, monkeypatch, evidence, expected):
@@ -114,16 +114,16 @@ class Search:
         return common_data.fit_to_common_data("of the search", rivals)[0]
 
     def move(self, data, hypothesis, starts, *given):
-        """Return where the solver ends."""
+        """Return the exponents at which the solver stops."""
         return starts[0] + [0.01, 0.0], None
 
     def measure_slopes(self, prepared, fit):
-        """Note where the change of the numerical error is measured."""
+        """Record where slopes of the numerical error are computed."""
         self.slopes_at.append(round(float(fit.chi[0]), 9))
         return prepared
 
     def expect(self, data, hypothesis, chi):
-        """Return the likelihood with the error as it was expected."""
+        """Return the likelihood with the predicted numerical error."""
         return np.array([[self.expected[round(float(chi[0, 0]), 9)]]])
 
     def evaluate(self, prepared, fit, chi):
@@ -151,7 +151,7 @@ class Search:
 def test_a_rival_is_refitted_until_its_numerical_error_is_its_own(
     evidence, evaluated, ended, monkeypatch
 ):
-    """It starts from its optimum or that of the best other, whichever is likelier."""
+    """It starts from its optimum or that of the best other one."""
     search = Search(monkeypatch, evidence, {})
     fitted = search.fit()
     assert search.evaluated == evaluated
@@ -164,9 +164,9 @@ def test_a_rival_is_refitted_until_its_numerical_error_is_its_own(
 def test_slopes_of_the_numerical_error_are_updated_if_it_changes_unexpectedly(
     monkeypatch,
 ):
-    """A strip ended 42 short, where its error had changed since its slopes were known.
+    """A strip lost 42 because the slopes of its numerical error had changed.
 
-    What the last pass promised and did not gain is an error of the evidence.
+    The predicted but missed gain of the last pass is an error of the evidence.
     """
     evidence = {0.1: 5.0, 0.3: 2.0, 0.11: 40.0, 0.12: 60.0, 0.13: 60.5}
     search = Search(monkeypatch, evidence, {0.11: 70.0, 0.13: 60.9})
@@ -181,7 +181,7 @@ def test_slopes_of_the_numerical_error_are_updated_if_it_changes_unexpectedly(
 
 
 def test_a_pass_into_chaos_does_not_change_the_evidence_before_it(monkeypatch):
-    """An unexpected error of 8 million made a cause as likely as none (mixed, 4153)."""
+    """An error of 8 million made a cause as probable as none (dataset mixed, 4153)."""
     chaotic = {0.1: 5.0, 0.3: 2.0, 0.11: -8e6}
     search = Search(monkeypatch, chaotic, {0.11: 7.0})
     fitted = search.fit()

@@ -139,7 +139,7 @@ def test_motions_respect_limits_and_avoid_obstacles(model, curves):
 def test_lagging_joints_arrive_at_the_end_of_their_motion(model, curves):
     """Lagging joints arrive at the end of their motion.
 
-    A hand that stops short would wrongly distinguish a lag from an offset.
+    If the motion were cut off, a lag would wrongly be distinguished from an offset.
     """
     arm = model.arm
     curve = select_curve(curves, 2)
@@ -155,7 +155,7 @@ def test_lagging_joints_arrive_at_the_end_of_their_motion(model, curves):
 def test_no_part_of_the_string_crosses_an_obstacle(model, rivals, curves):
     """No part of the string crosses an obstacle, even if only the tip is measured.
 
-    The tip alone passes next to it.
+    Only the tip passes it without contact.
     """
     trials = []
     for number in range(3):
@@ -201,7 +201,7 @@ def test_the_proposed_motion_decides_better_than_others(
 def test_rivals_stay_look_alikes_if_misfit_may_be_their_difference(
     slow_trials, rivals, monkeypatch
 ):
-    """Noise alone would distinguish them in the motions that were measured."""
+    """Relative to noise alone, the measured motions would distinguish them."""
     trial = rivals.data.subset([0])
     certain = rivals.expected_log_odds(trial)[0]
     assert certain[0, 1] > 0

@@ -1,4 +1,4 @@
-"""Evidence against dense algebra, rules of acceptance, and causes of a few casts."""
+"""Evidence compared with dense algebra, rules of acceptance, and causes of casts."""
 
 import json
 from dataclasses import replace
@@ -62,7 +62,7 @@ def all_points(frames):
 
 @pytest.fixture
 def trial(arm, camera):
-    """Make a trial of a string at rest: only its times and places matter."""
+    """Make a trial of a string at rest; only its times and places matter."""
     model = Model(String(0.3), arm, camera)
     times = np.arange(FRAMES) / 100
     frame, s = all_points(FRAMES)
@@ -142,8 +142,8 @@ def test_noise_is_separated_from_large_smooth_motion(trial):
 def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_accepted):
     """A cause that one trial supports is accepted only if the others predict it.
 
-    The first trial supports a tip mass, and its fit to all trials misfits the others.
-    Fitted to the others alone, they show the mass if they have it.
+    The first trial supports a tip mass, but the fit to all trials misfits the others.
+    A fit to the others shows the mass if they have it.
     """
     base = Hypothesis(with_second_order_mesh(ordinary(arm)))
     heavier = base.with_cause(effects_by_name()["tip_mass"])
@@ -171,7 +171,7 @@ def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_acce
 def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
     """A trial that diverges has a finite likelihood.
 
-    No parameter moves it, so there is no smooth discrepancy.
+    No parameter changes it, so that its discrepancy has no size.
     """
     no_shapes = np.zeros((2 * len(trial.s), 0))
     discrepancy = Discrepancy.for_trial(trial, np.zeros(FRAMES), no_shapes)
@@ -254,7 +254,7 @@ def mean_square_distance(residuals, model_name):
 
 
 def mean_over_cells(table, column):
-    """Average a column over the cells of the table of entries, all cells alike."""
+    """Average a column over the cells of the table of entries."""
     part = np.ceil(table["s"] / table["s"].max() * tables.CELLS_ALONG_STRING)
     part = part.clip(1, tables.CELLS_ALONG_STRING)
     start = table.groupby("trial")["t"].transform("min")
@@ -282,7 +282,7 @@ def test_a_hidden_tip_mass_is_found_and_the_budget_adds_up(
     budget_square = sum(entry["tip_rms_m"] ** 2 for entry in document["budget"])
     assert budget_square == pytest.approx(tip_square, rel=1e-6)
 
-    # The extended model predicts better, and holds the cause with its interval
+    # The extended model predicts better, and has the cause with its interval
     tip_rms = document["gain"]["tip_rms_m"]
     assert tip_rms["extended"] < 0.6 * tip_rms["base"]
     extended = yaml.safe_load(diagnosis.finding["extended"].iloc[0])

@@ -1,4 +1,4 @@
-"""Diagnoses of datasets that hide causes or nothing."""
+"""Diagnoses of datasets with and without hidden causes."""
 
 import pytest
 
@@ -56,10 +56,10 @@ def test_a_random_hidden_effect_is_found_with_its_size(tmp_path):
 
 @pytest.mark.long
 def test_no_cause_is_named_if_none_is_hidden(diagnose):
-    """Nothing is named where nothing is hidden, except perhaps the mesh.
+    """No cause is named if none is hidden, except perhaps the mesh.
 
     Ten points of Eq. 1 are too few for this string. `test_other_simulations` has a
-    quicker test with the whole library.
+    faster test with the whole library.
     """
     document = diagnose({})
     assert {cause["effect"] for cause in document["causes"]} <= {"resolution"}
@@ -68,9 +68,9 @@ def test_no_cause_is_named_if_none_is_hidden(diagnose):
 
 @pytest.mark.long
 def test_a_cause_outside_the_library_is_unknown(diagnose):
-    """A cause that the whole library lacks is called unknown.
+    """A cause outside the library is reported as unknown.
 
-    `test_forward_selection` has a quicker test, of a cause that is excluded.
+    `test_forward_selection` has a faster test with an excluded cause.
     """
     document = diagnose(JUMP, only_cast=0)
     assert document["verdict"] == "unknown"

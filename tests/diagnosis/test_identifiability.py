@@ -1,4 +1,4 @@
-"""Identifiability of effects, against known answers and simulated data."""
+"""Detection limits of effects, compared with known answers and simulated data."""
 
 from dataclasses import replace
 
@@ -107,9 +107,9 @@ def test_the_tip_shift_at_the_limit_is_that_of_a_simulation(prepared, limits, na
 
 @pytest.mark.parametrize(("factor", "is_evident"), [(0.5, False), (2.0, True)])
 def test_an_effect_is_evident_from_the_limit_on(arm, model, limits, factor, is_evident):
-    """An effect is evident from the limit on in most of five sets of trials.
+    """An effect at the limit is evident in most of five datasets.
 
-    The trials contain it, and are fitted without it and with it.
+    The trials contain it and are fitted with and without it.
     """
     base = Hypothesis(model)
     windy = base.with_cause(Wind)

@@ -1,4 +1,4 @@
-"""An interrupted diagnosis reports its results so far, and names nothing."""
+"""An interrupted diagnosis reports its results but names no cause."""
 
 from types import SimpleNamespace
 
@@ -15,7 +15,7 @@ from tests.diagnosis.test_forward_selection import diagnose_casts, interrupt
 def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
     """A cause that was dropped is not reported.
 
-    Of two that were accepted, the first was not needed in addition to the second.
+    The first of two accepted causes was redundant after the second.
     """
     hypotheses = {}
     for names in (("a",), ("a", "b"), ("b",)):

@@ -1,4 +1,4 @@
-"""A diagnosis that is killed goes on with the call that was in flight."""
+"""A killed diagnosis resumes with the call in progress."""
 
 import numpy as np
 import pandas as pd
@@ -13,11 +13,11 @@ TRUTH = {"tip_mass.ratio": 0.05}
 
 
 class Killed(BaseException):
-    """An exception that stands for a kill: no code catches it."""
+    """An exception that simulates a kill: no code catches it."""
 
 
 class Memory:
-    """A store that outlives its process, which is killed after a number of results."""
+    """A store that survives a process killed after a number of results."""
 
     def __init__(self, kept=(), lives=10**9):
         self.kept, self.lives, self.found = dict(kept), lives, 0
@@ -59,7 +59,7 @@ def test_a_killed_diagnosis_resumes_to_identical_results(arm, camera, monkeypatc
     assert lives > 2
     assert_same(whole, resumed)
 
-    # All that was reached is there: nothing is fitted once more
+    # All results are stored: nothing is fitted again
     fits = []
     fit = solver.fit_least_squares
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""Fits to all trials but some, by Gauss-Newton steps or by a refit."""
+"""Fits without some trials, by Gauss-Newton steps or by refitting."""
 
 from itertools import chain
 
@@ -27,7 +27,7 @@ OTHER_STRING = {**TRUTH, "bending_stiffness": 20.0, "linear_drag": 2.0}
 
 
 def fit_trials(arm, strings):
-    """Fit the base model to a swing of each string, given by its values."""
+    """Fit the base model to one swing of each string, given by its values."""
     model = with_second_order_mesh(ordinary(arm))
     rng = np.random.default_rng(0)
     trials = []
@@ -61,7 +61,7 @@ def test_each_trial_is_left_out_once_in_at_most_eight_groups(trials):
 
 
 def half_squares_of_others(data, fit, left_out, chi):
-    """Compute what a fit to the other trials minimises, at exponents (P,)."""
+    """Compute the objective of a fit to the other trials at exponents (P,)."""
     others = [k for k in range(len(data.trials)) if k != left_out]
     likelihood = Likelihood(
         data.subset(others),
@@ -73,7 +73,7 @@ def half_squares_of_others(data, fit, left_out, chi):
 
 
 def test_steps_find_the_optimum_without_each_trial(arm):
-    """Steps with the slopes of all trials end where a refit to the others ends."""
+    """Steps with the slopes of all trials reach the optimum of a refit."""
     data, fit = fit_trials(arm, [TRUTH] * 4)
     groups = groups_to_leave_out(4)
     steps = _GaussNewtonSteps(data, fit, groups)
@@ -87,11 +87,11 @@ def test_steps_find_the_optimum_without_each_trial(arm):
         refitted = half_squares_of_others(data, fit, number, refitted)
         assert stepped < refitted + 2 * MIN_GAIN
         gains.append(at_all - refitted)
-    assert max(gains) > 10 * MIN_GAIN  # the trials matter
+    assert max(gains) > 10 * MIN_GAIN  # leaving trials out matters
 
 
 def test_a_hypothesis_is_refitted_if_steps_do_not_converge(arm, monkeypatch):
-    """Where no step is allowed, the hypothesis is refitted to the other trials.
+    """Without steps, the hypothesis is refitted to the other trials.
 
     They predict the trial of another string badly.
     """

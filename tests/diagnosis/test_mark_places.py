@@ -1,4 +1,4 @@
-"""Marks that are not where they are stated on the string."""
+"""Marks with wrong arc lengths."""
 
 from dataclasses import replace
 
@@ -49,13 +49,13 @@ def columns_of(trial, hypothesis, chi):
 
 
 def moved_marks(trial, distance_m):
-    """State marks in the middle of the string nearer to the grasp than they are."""
+    """Reduce the stated arc length of marks in the middle of the string."""
     is_middle = trial.s < 0.9 * trial.s.max()
     return replace(trial, s=np.where(is_middle, trial.s - distance_m, trial.s))
 
 
 def test_a_column_is_the_displacement_by_moving_the_mark(prepare, hypothesis, true):
-    """One mark in the middle moves by the whole standard deviation, the tip does not."""
+    """A mark in the middle moves by one standard deviation, the tip does not."""
     trial = prepare([MIDDLE, TIP])
     column = columns_of(trial, hypothesis, true)
     assert column.shape == (2 * len(trial.s), 1)
@@ -105,7 +105,7 @@ def test_columns_are_zero_in_a_trial_whose_simulation_diverges(
 def test_a_wrong_mark_is_recognised_at_a_small_cost_of_evidence(
     prepare, hypothesis, true
 ):
-    """3 mm are found to half a millimetre, at a few units of log likelihood."""
+    """An error of 3 mm is found within 0.5 mm, at a cost of a few in log-likelihood."""
     distance_m = 3e-3
     off = moved_marks(prepare([MIDDLE, TIP]), distance_m)
     data = attach_discrepancy_model([off], hypothesis, true)

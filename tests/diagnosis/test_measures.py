@@ -1,4 +1,4 @@
-"""Numbers by which fits are compared, worked out by hand."""
+"""Measures by which fits are compared, computed by hand."""
 
 from types import SimpleNamespace
 
@@ -9,7 +9,7 @@ from stringcast.stages.diagnose import measures
 
 
 def fit(log_evidence, by_trial):
-    """Return a fit of which only the evidence is known."""
+    """Return a fit with only its evidence."""
     return SimpleNamespace(
         log_evidence=log_evidence,
         log_likelihood_by_trial=np.array(by_trial),
@@ -28,7 +28,7 @@ def test_the_trial_that_supports_a_fit_most_is_left_out():
 
 
 class Trials:
-    """Three trials, of which some may be taken."""
+    """Three trials that can be selected."""
 
     trials = (0, 1, 2)
 

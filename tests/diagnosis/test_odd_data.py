@@ -1,4 +1,4 @@
-"""Rare data: unusable trials, trials that begin moving, and missing numbers."""
+"""Unusual data: unusable trials, trials that begin moving, and missing numbers."""
 
 import json
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_unusable_trials_are_rejected_with_the_reason(model, moving_trial):
 def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_trial):
     """The matching rate uses the initial state of the whole trial.
 
-    Some twenty frames of a trial are too far apart to estimate the state from.
+    The twenty rated frames are too far apart to estimate the state.
     """
     count = with_rated_frames(moving_trial).points["t"].nunique()
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
@@ -153,7 +153,7 @@ def test_widened_ranges_are_passed_to_other_stages(model):
 
 
 def test_an_interval_without_width_is_written_as_a_value(model):
-    """A value at the end of its range would be refused by the next command."""
+    """The next command would refuse an empty interval at the end of a range."""
     hypothesis = Hypothesis(model)
     values = dict(zip(model.names, model.values(TRUTH), strict=True))
     fit = SimpleNamespace(hypothesis=hypothesis, values=values)

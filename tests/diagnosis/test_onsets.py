@@ -1,4 +1,4 @@
-"""Something unknown begins in the middle of trials; before it the model holds."""
+"""An unknown disturbance begins in the middle of trials; before it the model holds."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ STIFFER = {**TRUTH, "bending_stiffness": 20.0, "linear_drag": 2.0}
 
 
 def push_string(observed, length):
-    """Push the string aside from an onset on, farther and farther."""
+    """Push the string aside, with a growing displacement after an onset."""
     points = observed.points
     late_s = np.maximum(points["t"] - ONSET_S, 0.0)
     push_m = PUSH_M * late_s / (SECONDS - ONSET_S) * points["s"] / length
@@ -39,9 +39,9 @@ def push_string(observed, length):
 
 @pytest.fixture(scope="module")
 def fits(arm):
-    """Fit the base model to pushed strings from one that is too stiff.
+    """Fit the base model to pushed strings, starting from one that is too stiff.
 
-    Returns the data, that fit, and the fit that sees the beginnings first.
+    Returns the data, that fit, and the fit from the beginnings.
     """
     model = with_second_order_mesh(ordinary(arm))
     rng = np.random.default_rng(0)
@@ -59,7 +59,7 @@ def fits(arm):
 
 
 def test_fits_to_the_beginnings_find_the_string(fits):
-    """They end where a fit from the true string ends, and others do not."""
+    """They reach the optimum of a fit from the true string, which others do not."""
     data, astray, fit = fits
     truth = fit.hypothesis.model.exponents_of_values(TRUTH)
     best = fit_hypothesis(data, fit.hypothesis, truth[None], fit.grid_points)
@@ -79,7 +79,7 @@ def test_the_estimated_onset_is_not_after_the_true_one(fits):
 
 
 def test_other_strings_are_tried_if_the_fit_is_wrong(fits, monkeypatch):
-    """Without any step, the start is another string, whose beginnings are nearer."""
+    """Without steps, the result is another string that fits the beginnings better."""
     data, _, fit = fits
     far = evaluate_fit(data, fit.hypothesis, np.full(len(fit.chi), 0.98))
     monkeypatch.setattr(base_model, "BEGINNING_ITERATIONS", 0)

@@ -1,4 +1,4 @@
-"""Trials of other simulations than the diagnosis' own.
+"""Trials from simulations that differ from the diagnosis' own.
 
 Their mass points are equal, as in Eq. 1.
 """
@@ -43,9 +43,9 @@ def diagnose_swings(arm, configured, true_model, values, seed):
 
 
 def test_data_from_the_configured_mesh_show_no_cause(arm, chain):
-    """The configured mesh itself is no cause.
+    """The configured mesh itself is not named as a cause.
 
-    It differs from a string without mass points by ten standard deviations.
+    It differs from a continuous string by ten standard deviations.
     """
     diagnosis = diagnose_swings(arm, chain, chain, TRUTH, 0)
     assert diagnosis.verdict == "none", diagnosis.sentence
@@ -55,7 +55,7 @@ def test_data_from_the_configured_mesh_show_no_cause(arm, chain):
 def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
     """A cause on the configured mesh has its size on that mesh.
 
-    On a fine mesh the tip would seem heavier by half a segment, 5.6 %.
+    On a fine mesh the tip mass would be too large by half a segment, 5.6 %.
     """
     heavy = chain.with_effects(TipMass)
     truth = TRUTH | {"tip_mass.ratio": 0.1}
@@ -68,9 +68,9 @@ def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
 
 @pytest.mark.long
 def test_another_chain_of_points_is_found_as_a_cause(arm, chain):
-    """A chain of another number of points is a cause.
+    """A chain with another number of points is named as a cause.
 
-    Its last point has half a segment too much, so a tip mass may look alike.
+    Its last point is too heavy by half a segment, so a tip mass is a look-alike.
     """
     other = replace(chain, string=replace(chain.string, points=30))
     diagnosis = diagnose_swings(arm, chain, other, TRUTH, 2)

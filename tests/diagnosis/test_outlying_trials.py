@@ -19,9 +19,9 @@ from stringcast.stages.model.library import effects_by_name
     ("errors_mm", "outlying"),
     [
         ((3.0, 2.0, 40.0, 2.5), ["t2"]),
-        ((3.0, 2.0, 15.0, 2.5), []),  # the misfit of one model in a faster motion
+        ((3.0, 2.0, 15.0, 2.5), []),  # the same model misfits more in a faster motion
         ((0.1, 0.1, 1.8, 0.1), []),  # below the tolerance
-        ((2.0, 2.0, 60.0), []),  # two cannot outvote one
+        ((2.0, 2.0, 60.0), []),  # two trials are too few against one
     ],
 )
 def test_only_a_trial_far_from_the_others_is_outlying(errors_mm, outlying, monkeypatch):
@@ -46,7 +46,7 @@ def test_one_trial_does_not_decide_against_the_others_which_model_predicts_bette
 
 @pytest.mark.long
 def test_causes_are_found_despite_a_trial_of_another_motion(arm):
-    """The joints turn 3 % further; the points of one trial are those of another."""
+    """The joints have a gain error of 3 %; one trial has the points of another."""
     real = with_second_order_mesh(ordinary(arm))
     real = real.with_effects(effects_by_name()["joint_gain"]).with_segments(80)
     values = TRUTH | {"joint_gain.gain": 0.03}

@@ -23,7 +23,7 @@ from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 
 
 class Scaled:
-    """Two trials whose residuals are white once divided by the size of each."""
+    """Two trials whose residuals, divided by a size for each, are white."""
 
     def for_hypothesis(self, hypothesis: None) -> "Scaled":
         return self
@@ -36,9 +36,9 @@ class Scaled:
 
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (0.5, 1.5)])
 def test_the_evidence_with_background_is_that_of_a_dense_covariance(weights):
-    """The probabilities of small effects are those of a dense covariance.
+    """The evidence with background effects is that of a dense covariance.
 
-    A trial of half weight has twice the variance.
+    A trial with half the weight has twice the variance.
     """
     rng, sizes = np.random.default_rng(0), np.array([1.0, 3.0])
     slopes, small = (
@@ -76,14 +76,14 @@ def named_fit(name, *causes):
 
 
 class CorrectedAt(SimpleNamespace):
-    """Prepared data that list the fits at which they were corrected."""
+    """Prepared data that record the fits at which they were corrected."""
 
     def at(self, fit):
         return CorrectedAt(data=f"{self.data} {fit.name}")
 
 
 def swap(monkeypatch, by_fit, fit):
-    """Swap look-alikes among posteriors that are given for each fit."""
+    """Swap look-alikes with given posteriors for each fit."""
     monkeypatch.setattr(
         selection_state,
         "refine_fit",
@@ -104,9 +104,9 @@ def swap(monkeypatch, by_fit, fit):
 
 
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
-    """Look-alikes are followed, each with its own numerical error.
+    """Look-alikes replace causes, each with its own numerical error.
 
-    The second cause's look-alike is likelier, then none in the place of the first.
+    First the second cause's look-alike is likelier, then no cause in the first place.
     """
     fits = {
         "one": named_fit("one", "a", "x"),
@@ -134,9 +134,9 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
 
 
 def test_swapped_look_alikes_end_with_posteriors_of_the_final_model(monkeypatch):
-    """Look-alikes that follow each other end in the causes that the model holds.
+    """Repeated swaps end with the posteriors of the final model.
 
-    Each is likelier in the place of the other.
+    Here each of two look-alikes is likelier than the other when that is active.
     """
     fits = {name: named_fit(name, name) for name in "ab"}
     by_fit = {}
@@ -164,7 +164,7 @@ def test_a_cause_within_the_credible_set_is_not_replaced(monkeypatch):
 @pytest.mark.parametrize(
     ("none", "rival", "own", "kept"),
     [
-        (0.44, 0.42, 0.14, "one"),  # of which it holds one is not decided
+        (0.44, 0.42, 0.14, "one"),  # it does not decide which one is active
         (0.44, 0.55, 0.01, "two"),
         (0.60, 0.30, 0.10, "empty"),
     ],
@@ -172,7 +172,7 @@ def test_a_cause_within_the_credible_set_is_not_replaced(monkeypatch):
 def test_a_cause_is_removed_only_if_its_place_is_probably_empty(
     none, rival, own, kept, monkeypatch
 ):
-    """None may be the most probable of many, and something be there all the same."""
+    """ "None" may be the most probable of many, but the place probably has a cause."""
     fits = {
         "one": named_fit("one", "a"),
         "two": named_fit("two", "b"),
@@ -202,7 +202,7 @@ def test_evidence_from_one_trial_against_the_others_is_not_certain(
 ):
     """A cause that one trial supports against the others is not certain.
 
-    All gain 80, which without the bootstrap is certain.
+    The total gain is 80, which would be certain without the bootstrap.
     """
     posterior = posterior_of_wind(monkeypatch, by_trial, inside_range=True)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
@@ -211,14 +211,14 @@ def test_evidence_from_one_trial_against_the_others_is_not_certain(
 
 @pytest.mark.parametrize("inside_range", [True, False])
 def test_a_rival_at_the_end_of_its_range_does_not_compete(inside_range, monkeypatch):
-    """What would go on beyond its range is no finding in the place of another cause."""
+    """A rival whose optimum is beyond its range does not replace another cause."""
     posterior = posterior_of_wind(monkeypatch, (20.0,) * 4, inside_range)
     assert ("wind" in posterior.probabilities) == inside_range
     assert ("wind" in posterior.fits) == inside_range
 
 
 def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
-    """Compute the posterior of a place for which wind alone competes, by 80."""
+    """Compute the posterior of a place with wind as only candidate; it gains 80."""
     monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: inside_range)
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
@@ -226,7 +226,7 @@ def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
 def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=()):
     """Compute the posterior of a place, with 1 m at each tip left unexplained.
 
-    gains : of the log evidence, and of the log-likelihood of each trial, by effect
+    gains : in log evidence, and in log-likelihood of each trial, by effect
     difference_m : between the effects at each tip, and to their parent
     error : of the log evidence of the effects
     """
@@ -265,7 +265,7 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=(
 def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
     difference_m, share, monkeypatch
 ):
-    """Evidence alone would be certain of wind, which stays the first to be named."""
+    """By evidence alone wind would be certain; it still ranks first."""
     monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
     gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
     posterior = posterior_of_place(monkeypatch, gains, difference_m)
@@ -275,7 +275,7 @@ def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
 
 
 def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):
-    """It is no more likely than the best of those that can be."""
+    """It is not more probable than the best resolved effect."""
     monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
     gains = {
         "softening": (90.0, (22.5,) * 4),
@@ -293,7 +293,7 @@ def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):
 def test_rivals_that_differ_by_less_than_their_errors_share_probability(
     error, share, monkeypatch
 ):
-    """Of a difference of 20 with an error of 28, one in four has the other sign."""
+    """A difference of 20 with an error of 28 has the wrong sign in a quarter."""
     monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
     gains = {"dry": (200.0, (50.0,) * 4), "worn": (180.0, (45.0,) * 4)}
     posterior = posterior_of_place(monkeypatch, gains, 1.1, error)
@@ -319,7 +319,7 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
             5.0,
             ("tilt", "play"),
         ),
-        # one effect cannot be in both places
+        # an effect cannot be in both places
         (
             ({"play": 0.6, "tilt": 0.4}, {"softening": 0.1, "play": 0.9}),
             5.0,
@@ -335,9 +335,9 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
 def test_the_likeliest_effects_replace_causes_if_their_joint_evidence_is_higher(
     probabilities, evidence, causes, monkeypatch
 ):
-    """The likeliest effects remain if they have more evidence together.
+    """The likeliest effects replace causes if their joint evidence is higher.
 
-    They stand in the place of a tilt and a play without evidence.
+    They replace a tilt and a play without evidence.
     """
 
     def fit(*causes, evidence=0.0):
@@ -371,9 +371,9 @@ def test_the_likeliest_effects_replace_causes_if_their_joint_evidence_is_higher(
 def limit_place(
     monkeypatch, probabilities, log_bayes_factor, misfit_probability, share=1.0
 ):
-    """Limit the probabilities of one place, of 50 candidates, to what trials say.
+    """Limit the probabilities of one place with 50 candidates by agreement of trials.
 
-    share: of the misfit, which the cause explains in each trial.
+    share: share of the misfit that the cause explains in each trial.
     """
     monkeypatch.setattr(
         agreement, "log_bayes_factor_of_trials", lambda *given: log_bayes_factor
@@ -398,7 +398,7 @@ def limit_place(
 def test_the_agreement_of_trials_limits_probabilities_if_misfit_remains(
     monkeypatch,
 ):
-    """The odds are then the trials' Bayes factor times the prior odds of one cause."""
+    """The odds are the trials' Bayes factor times the prior odds of one cause."""
     certain = {"a": 0.9, "b": 0.1, "": 0.0}
     there = 0.75 * probability_by_shares(np.ones(2))
     found = limit_place(monkeypatch, certain, np.log(150), 1.0)
@@ -410,7 +410,7 @@ def test_the_agreement_of_trials_limits_probabilities_if_misfit_remains(
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
 def test_the_probability_of_a_stand_in_limits_that_of_a_cause(monkeypatch, share):
-    """Something outside the library may do about the same in all trials."""
+    """Something outside the library may have the same effect in all trials."""
     found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0, share)
     assert found["a"] == pytest.approx(probability_by_shares(np.array([share])))
 
@@ -425,7 +425,7 @@ def test_probabilities_are_unchanged_without_misfit_or_below_the_limit(
 
 
 def test_without_a_cause_the_posterior_is_that_of_the_last_step(monkeypatch):
-    """An earlier step may have entered a cause that was dropped again."""
+    """An earlier step may have accepted a cause that was dropped later."""
     monkeypatch.setattr(
         posteriors, "single_effect_posterior", lambda step, *given: step
     )
@@ -455,8 +455,8 @@ def test_the_inclusion_probability_is_that_of_any_place():
         (("a", "c"), True, "b", 1, False),
         (("a", "b"), False, "b", 1, False),
         (("a", "b"), True, "b", 1, True),
-        (("a", "b"), True, "b", 2, False),  # the fit has moved to another place
-        (("a", "b"), True, "a", 1, False),  # it was compared without the other
+        (("a", "b"), True, "b", 2, False),  # the fit has moved
+        (("a", "b"), True, "a", 1, False),  # it was compared without the other cause
     ],
 )
 def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
@@ -492,7 +492,7 @@ def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
 
 @pytest.mark.parametrize("better", ["with the cause", "base"])
 def test_a_fit_without_a_cause_is_the_better_of_two_starts(better, monkeypatch):
-    """Parameters that made up for the cause may lead to a poor minimum without it."""
+    """The parameters with the cause may be a poor start without it."""
     others = SimpleNamespace(
         with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
     )

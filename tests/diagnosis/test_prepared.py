@@ -62,13 +62,13 @@ def model(arm):
 
 
 def make_trial(model, frame, s, points, times=T):
-    """Make a trial with points (n, 2) [m], of which only times and places matter."""
+    """Make a trial with points (n, 2) [m]; only their times and places matter."""
     sigma = np.full(len(s), STATED_SIGMA_M)
     return PreparedTrial("t", model, None, times, frame, s, points, sigma)
 
 
 def simulate_swings(arm, model, strings):
-    """Simulate a swing of each string, given by its parameter values."""
+    """Simulate one swing of each string, given by its parameter values."""
     rng = np.random.default_rng(0)
     trials = []
     for k, angles in enumerate(swing_angles(arm, len(strings), 0.3)):
@@ -109,8 +109,8 @@ def test_noise_is_separated_from_misfit_at_any_places(model, kind):
 def test_outliers_are_removed_and_hardly_any_other_point(model):
     """Outliers are removed, and hardly any other point.
 
-    The model itself is off by far more. Smooth motion follows an outlier a little, and
-    its neighbours stay.
+    The misfit of the model is much larger. An outlier shifts the smooth motion a little,
+    but its neighbours are kept.
     """
     rng = np.random.default_rng(2)
     s = np.tile(S, len(T))
@@ -130,7 +130,7 @@ def test_outliers_are_removed_and_hardly_any_other_point(model):
 def test_a_trial_of_scattered_points_is_not_emptied(model):
     """A trial of scattered points is not emptied.
 
-    A tracker lost the tip in all six frames.
+    A tracker had lost the tip in all six frames.
     """
     frame = np.arange(6)
     points = 0.05 * np.random.default_rng(3).standard_normal((6, 2))
@@ -195,7 +195,7 @@ def test_a_chaotic_trial_is_excluded_with_its_part_of_the_fit(
 def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
     at_the_fit_mm, fitted, chaotic, model, prepared, monkeypatch
 ):
-    """Chaotic trials are no part of the first fit."""
+    """Chaotic trials are not part of the first fit."""
     names = ("t0", "t1", "t2", "t3")
     trials = tuple(replace(prepared.trials[0], name=name) for name in names)
     data = prepared.data.trials[0]
@@ -231,7 +231,7 @@ def test_a_chaotic_trial_returns_if_the_fit_to_the_others_resolves_it(
 def test_a_fit_from_the_beginnings_is_kept_if_it_has_more_evidence(
     prepared, monkeypatch, restarted, elsewhere, kept
 ):
-    """It may have gained by the numerical error of where the other fit ended."""
+    """Its gain may be numerical error at the optimum of the other fit."""
     base = replace(prepared.base_fit, log_evidence=0.0)
     before = replace(prepared, base_fit=base)
     refined = {0.0: 0.0, float(restarted): float(elsewhere)}
@@ -248,7 +248,7 @@ def test_a_fit_from_the_beginnings_is_kept_if_it_has_more_evidence(
 
 
 def test_a_base_model_is_searched_in_at_most_eight_trials(trials, model):
-    """They are taken evenly, the first and the last among them."""
+    """They are spaced evenly, including the first and the last."""
     many = tuple(replace(trials[0], name=str(k)) for k in range(25))
     sample = sample_trials(Likelihood(TrialData(many), model))
     names = [int(trial.name) for trial in sample.data.trials]
@@ -270,7 +270,7 @@ def test_outliers_that_a_better_fit_explains_are_restored(prepared):
 
 
 def test_the_effect_of_another_initial_state_is_not_noise(prepared):
-    """A state far from that of the first frames displaces points by much more."""
+    """A wrong initial state displaces points by much more than noise."""
     trials = []
     residuals = []
     given = zip(prepared.data.trials, prepared.base_fit.residuals, strict=True)
@@ -294,7 +294,7 @@ def test_the_effect_of_another_initial_state_is_not_noise(prepared):
 def test_the_search_is_robust_against_one_trial_of_another_string(arm, model):
     """One trial of another string does not mislead the search.
 
-    Three trials are of one string, the fourth of one four times as stiff.
+    Three trials have one string, the fourth one that is four times as stiff.
     """
     stiff = TRUTH | {"bending_stiffness": 4 * TRUTH["bending_stiffness"]}
     data = TrialData(simulate_swings(arm, model, [TRUTH] * 3 + [stiff]))
@@ -332,7 +332,7 @@ def test_a_range_is_widened_only_if_the_data_require_it(model, prepared):
 
 
 def test_a_range_is_kept_if_a_wider_one_explains_hardly_more(model, prepared):
-    """The data would have more axial damping, and hardly determine it."""
+    """The best axial damping is beyond its range, but hardly determined."""
     damping = {p.name: p for p in model.string.parameters}["axial_damping"]
     index = model.names.index(damping.name)
     high = damping.value(prepared.base_fit.chi[index]) / 2
@@ -350,7 +350,7 @@ def test_a_range_is_kept_if_a_wider_one_explains_hardly_more(model, prepared):
 def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more(
     model, prepared
 ):
-    """The bending stiffness is above one range, and inside the other."""
+    """The bending stiffness is above one range and inside the other."""
     parameters = {p.name: p for p in model.string.parameters}
     stiffness = parameters["bending_stiffness"]
     for high, expected in ((2.0, 60.0), (stiffness.high, None)):
@@ -370,9 +370,9 @@ def test_a_range_is_too_narrow_if_a_fit_ends_there_and_a_wider_one_explains_more
 
 
 def test_a_range_is_kept_if_only_the_mesh_correction_costs_evidence(model, prepared):
-    """A wider range has no correction, and is compared with the fit without it.
+    """A fit in a wider range has no correction; it is compared with a fit without.
 
-    The axial stiffness would be a little inside its range.
+    Without the correction, the axial stiffness is slightly inside its range.
     """
     parameters = {p.name: p for p in model.string.parameters}
     base = Hypothesis(model.with_ranges(parameters["axial_stiffness"]))
@@ -395,9 +395,9 @@ def test_a_range_is_kept_if_only_the_mesh_correction_costs_evidence(model, prepa
 
 
 def test_the_mesh_correction_predicts_the_error_at_other_parameters(model, trials):
-    """The mesh correction follows the error as parameters move.
+    """The mesh correction predicts the error at other parameters.
 
-    Friction slips at 0.02 /m, then at 0.03 /m, elsewhere on a coarse string.
+    The yield curvature of friction changes from 0.02 to 0.03 /m.
     """
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
     truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
@@ -422,7 +422,7 @@ def test_the_mesh_correction_predicts_the_error_at_other_parameters(model, trial
         error = moved_residuals(corrected) - exact_residuals
         errors.append(np.sqrt(np.mean(error**2)))
     assert errors[1] < 0.5 * errors[0]
-    # in standard deviations, so that the error is large enough to follow
+    # in standard deviations, so that the error is large enough
     assert errors[0] > 0.01
 
 
@@ -430,7 +430,7 @@ def test_the_mesh_correction_predicts_the_error_at_other_parameters(model, trial
 def test_the_configured_mesh_is_kept_only_if_it_fits_within_noise(
     left_m, is_kept, monkeypatch
 ):
-    """A measured strip was nearer to ten mass points by chance, and left 0.8 mm."""
+    """By chance a measured strip fitted ten mass points better, within 0.8 mm."""
     trials = (SimpleNamespace(sigma=np.full(4, 1e-3)),) * 2
     hypothesis = SimpleNamespace(model=None, base=None)
     fine = SimpleNamespace(log_evidence=0.0)

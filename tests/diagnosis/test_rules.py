@@ -1,6 +1,6 @@
-"""Each rule passes at its limit and fails just beyond it, and they act in order.
+"""Each rule passes at its limit and fails just beyond it; the rules act in order.
 
-Fits are replaced by the numbers that a rule looks at.
+Fits are replaced by the numbers that a rule uses.
 """
 
 from dataclasses import replace
@@ -133,11 +133,11 @@ SUPPORTED = {
         ({"diverged": True}, False),
         ({"moves": False}, False),
         ({"survives": False}, False),
-        # a contact with one trial is judged there
+        # a contact in one trial is judged in that trial
         ({"touched": (2,)}, False),
         ({"touched": (2,), "explains": True, "survives": False}, True),
         ({"touched": (1, 2), "explains": True, "survives": False}, False),
-        # of one trial, nothing can be left out
+        # a single trial cannot be left out
         ({"trials": 1, "survives": False}, True),
         ({"trials": 2, "survives": False}, False),
     ],
@@ -170,7 +170,7 @@ def test_a_cause_is_accepted_by_all_rules_together(monkeypatch, changed, is_supp
         ((-9.0, 1.0, 1.0), 0.1, True),
         ((9.0, -1.0, -1.0), 0.1, False),
         ((0.0, 0.0), 0.1, False),
-        ((9.0, 1.0, 1.0), -0.1, False),  # likelier, and tips are farther
+        ((9.0, 1.0, 1.0), -0.1, False),  # likelier, but tips are farther
     ],
 )
 def test_the_median_trial_and_the_tips_decide_on_prediction(gains, explained, helps):
@@ -196,7 +196,7 @@ def test_misfit_may_be_larger_than_the_causes(fraction, counts):
 
 
 def test_misfit_is_probable_if_that_of_the_worst_trial_is(monkeypatch):
-    """Of four draws, the tip of some trial is beyond the tolerance in three."""
+    """In three of four draws, the tip of some trial exceeds the tolerance."""
     drawn_m = TOLERANCE_M * np.array([[0.5, 2.0, 0.5, 1.0], [2.0, 0.5, 2.0, 1.0]])
     seeds = []
 
@@ -213,7 +213,7 @@ def test_misfit_is_probable_if_that_of_the_worst_trial_is(monkeypatch):
 
 
 class Place(SimpleNamespace):
-    """The posterior of a place, of which only the presence is known."""
+    """The posterior of a place with only its presence."""
 
     holds_a_cause = SingleEffectPosterior.holds_a_cause
 
@@ -267,7 +267,7 @@ def test_the_verdicts_numbers_compare_the_causes_with_the_base_model(
 def test_the_base_is_refitted_only_if_there_are_causes_and_from_two_starts(
     monkeypatch, better
 ):
-    """A fit begun in a poor minimum would count its misfit as that of a cause."""
+    """Otherwise the misfit of a poor minimum would be attributed to a cause."""
     hypothesis = SimpleNamespace(causes=("wind",), base="model")
     before, found = fit_of(name="before"), fit_of(name="with causes")
     found.hypothesis = hypothesis
@@ -294,7 +294,7 @@ def test_a_mesh_that_is_too_coarse_is_named_with_certainty():
 
 
 def test_an_interrupted_search_reports_the_causes_found(monkeypatch):
-    """Of two causes of the fit, the second was there before the search."""
+    """Of two causes in the fit, the second was known before the search."""
 
     def step(name, accepted=True):
         best = SimpleNamespace(hypothesis=SimpleNamespace(cause_names=("x", name)))

@@ -25,7 +25,7 @@ from stringcast.stages.model.library import effects_by_name
 
 
 def fit_with(*causes):
-    """Stand in for a fit with these causes, more evident with each."""
+    """Return a stand-in for a fit with these causes; each adds evidence."""
     hypothesis = SimpleNamespace(
         base=None, causes=causes, cause_names=tuple(cause.name for cause in causes)
     )
@@ -45,7 +45,7 @@ def fit_with(*causes):
 
 
 def refit_stand_in(data, fit, hypothesis):
-    """Fit the causes of a hypothesis, whatever the data."""
+    """Return a stand-in for the refit of a hypothesis to any data."""
     return fit_with(*hypothesis.causes)
 
 
@@ -58,7 +58,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
 ):
     """A cause is accepted if each trial predicts the other.
 
-    Without it one trial is explained at the cost of the other.
+    Without it, one trial is explained at the cost of the other.
     """
     parent = SimpleNamespace(
         log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0)
@@ -95,9 +95,9 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
 def test_one_trial_does_not_decide_which_causes_are_set_aside(
     gains, remaining, monkeypatch
 ):
-    """One trial does not outvote the others on which causes are removed.
+    """One trial does not decide which causes are removed.
 
-    One chaotic trial is predicted badly, by 23,000 of the log-likelihood.
+    One chaotic trial is predicted badly: its log-likelihood falls by 23,000.
     """
     wind = SimpleNamespace(name="wind")
     trials = [SimpleNamespace(name=f"t{k}") for k in range(5)]
@@ -130,7 +130,7 @@ def test_one_trial_does_not_decide_which_causes_are_set_aside(
     [(2, [], "two trials are too few"), (3, [], "do not agree"), (2, [1], "one trial")],
 )
 def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatch):
-    """Two trials may agree well and still confirm little."""
+    """Two trials may agree well and still be too few to confirm a cause."""
     wind = SimpleNamespace(name="wind")
     data = SimpleNamespace(trials=range(trials))
     state = SelectionState(SimpleNamespace(data=data), fit_with(wind))
@@ -155,7 +155,7 @@ def test_a_cause_is_set_aside_with_the_reason(trials, touched, words, monkeypatc
 def test_a_confirmed_rival_replaces_a_cause_that_is_set_aside(
     unconfirmed, remaining, monkeypatch
 ):
-    """Of causes that explain about as much, one that all trials show is left."""
+    """Of causes with similar evidence, the one that all trials confirm is kept."""
     wind, set_, lag = (SimpleNamespace(name=name) for name in ("wind", "set", "lag"))
     prepared = SimpleNamespace(data=SimpleNamespace(trials=range(5)))
     compared = [fit_with(wind), fit_with(set_), fit_with(lag)]
@@ -185,14 +185,14 @@ def test_a_confirmed_rival_replaces_a_cause_that_is_set_aside(
     ("touched", "misfit_m", "remaining"),
     [
         ([2], 5e-3, ()),
-        ([2], 1e-3, ("contact",)),  # the model lacks nothing
+        ([2], 1e-3, ("contact",)),  # no misfit remains
         ([1, 2], 5e-3, ("contact",)),
     ],
 )
 def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
     touched, misfit_m, remaining, monkeypatch
 ):
-    """A stand-in for an attraction, at 0.99, touched one trial of three."""
+    """A contact in one of three trials stood for an attraction, at 0.99."""
     contact = SimpleNamespace(name="contact")
     trials = [SimpleNamespace(name=f"t{k}") for k in range(3)]
     data = SimpleNamespace(trials=trials, random_effects={})
@@ -229,7 +229,7 @@ def test_a_contact_in_one_trial_is_set_aside_if_misfit_remains(
 def test_a_cause_that_two_trials_cannot_confirm_stays_in_the_fit(
     reasons, remaining, nameable, monkeypatch
 ):
-    """Without dry friction, a set and a turned grasp of a cable were as probable."""
+    """Without dry friction, a set and a turned grasp were equally probable."""
     monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     monkeypatch.setattr(confirmation, "refit", refit_stand_in)
     monkeypatch.setattr(
@@ -250,7 +250,7 @@ def test_a_cause_that_two_trials_cannot_confirm_stays_in_the_fit(
     ("evidence", "shift_m", "reason"),
     [
         (50.0, 1.2e-3, "small: it moves the tip by 1.2 mm, less than the tolerance"),
-        (50.0, 3e-3, None),  # large enough, and refused for another reason
+        (50.0, 3e-3, None),  # large enough, but refused for another reason
         (1.0, 1.2e-3, None),  # not evident
     ],
 )
@@ -274,16 +274,16 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
     [
         (5e-3, True, "", ("offset", "angle")),
         (5e-3, True, "not confirmed", ()),
-        (5e-3, False, "", ()),  # nothing is accepted in addition to it
-        (1e-3, True, "", ()),  # nothing is left to explain
+        (5e-3, False, "", ()),  # no further cause is accepted
+        (1e-3, True, "", ()),  # no misfit is left
     ],
 )
 def test_a_small_cause_does_not_hide_a_larger_one(
     misfit_m, further, reason, found, monkeypatch
 ):
-    """An offset of the clocks by 0.7 ms was more evident than a turned grasp.
+    """A clock offset of 0.7 ms was more evident than a turned grasp.
 
-    It stays in the model with the grasp, and is not named.
+    It stays in the model with the grasp but is not named.
     """
     offset = SimpleNamespace(name="offset")
     angle = SimpleNamespace(name="angle")
@@ -331,7 +331,7 @@ def test_a_small_cause_does_not_hide_a_larger_one(
 
 
 def test_an_added_cause_is_no_longer_set_aside(monkeypatch):
-    """Dry friction in a cable was named, and set aside in the same answer."""
+    """Dry friction in a cable was both named and set aside."""
     slip, offset = SimpleNamespace(name="slip"), SimpleNamespace(name="offset")
     monkeypatch.setattr(selection_state, "refine_fit", RefinedFit)
     reasons = {"slip": "too few trials", "offset": "small", "drift": "too few trials"}
@@ -359,7 +359,7 @@ def test_a_better_fit_without_a_further_cause_replaces_the_state(
 
 
 def test_known_causes_start_at_the_same_values_in_other_ranges(arm, monkeypatch):
-    """With one trial more, the data may ask for a wider range of the base model."""
+    """With a further trial, the data may require a wider range."""
     wind = effects_by_name()["wind"]
     base = ordinary(arm)
     found = Hypothesis(base, (wind,))
@@ -388,7 +388,7 @@ def test_known_causes_start_at_the_same_values_in_other_ranges(arm, monkeypatch)
 def test_another_string_is_compared_with_its_own_numerical_error(
     own_evidence, monkeypatch
 ):
-    """A better string looks worse in data without the numerical error of another."""
+    """Data corrected at another string's numerical error favour that string."""
 
     def fit_at(distance, log_evidence):
         residuals = [np.full(4, distance)]
@@ -416,7 +416,7 @@ def test_another_string_is_compared_with_its_own_numerical_error(
 def test_other_values_of_a_cause_are_taken_only_with_their_own_numerical_error(
     corrected_evidence, monkeypatch
 ):
-    """Where they were found the data had the numerical error of others."""
+    """They were found in data corrected with the numerical error of others."""
     hypothesis = SimpleNamespace(cause_names=("wind",))
     first, found, corrected = (
         SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis, grid_points=None)

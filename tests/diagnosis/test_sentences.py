@@ -1,4 +1,4 @@
-"""Ends of ranges, and sentences on look-alikes and on the misfit that is left."""
+"""Ends of ranges, and sentences on look-alikes and on the remaining misfit."""
 
 import json
 from types import SimpleNamespace
@@ -23,7 +23,7 @@ from stringcast.stages.model.library import effects_by_name
         ("wind", (0.01, 0.4), True),
         ("tip_mass", (1.0,), False),
         ("tip_mass", (0.0,), True),  # absent
-        # a stiffness is known from below; friction and loss are no amplitudes
+        # a stiffness is only a lower bound; friction and loss are not amplitudes
         ("contact", (1.0, 0.5, 0.5, 1.0, 1.0), True),
         # a string at rest sinks 0.2 m into it, or 0.05 m
         ("contact", ((49 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), False),
@@ -73,7 +73,7 @@ LATE = 3 * len(DISCREPANCY_SCALES_M)  # a grid point that begins in the middle
 def test_the_stated_misfit_is_that_of_the_budget_if_it_is_certainly_positive(
     monkeypatch, budget_m, kind, grid_point, sentence
 ):
-    """The budget's share may be 0 where numerical error could explain the misfit."""
+    """The budget's share may be 0 if numerical error could explain the misfit."""
     trials = []
     for name in ("a", "b"):
         trial = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""Held-out trials are searched if they show what the others do not."""
+"""Held-out trials are searched if they misfit and the others do not."""
 
 import json
 
@@ -15,7 +15,7 @@ OFFSET_S = 0.01
 
 
 def simulate_with_offset(arm, offset_s):
-    """Yield three trials in which the arm hardly moves, and one in which it swings."""
+    """Yield three trials in which the arm hardly moves, and one with a swing."""
     model = with_second_order_mesh(ordinary(arm))
     model = model.with_effects(effects_by_name()["time_offset"]).with_segments(80)
     values = TRUTH | {"time_offset.offset": offset_s}
@@ -28,7 +28,7 @@ def simulate_with_offset(arm, offset_s):
 
 @pytest.mark.long
 def test_a_cause_in_a_held_out_trial_only_is_found(arm):
-    """`test_forward_selection` has a held-out trial that shows no more than others."""
+    """`test_forward_selection` has a held-out trial without such a misfit."""
     trials = list(simulate_with_offset(arm, OFFSET_S))
     diagnosis = diagnose_trials(ordinary(arm), trials, 4, held_out=["t3"])
     document = json.loads(diagnosis.finding["diagnosis"].iloc[0])

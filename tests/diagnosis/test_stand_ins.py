@@ -1,4 +1,4 @@
-"""How likely a cause stands in for something unknown, by what it leaves."""
+"""The probability that a cause is a stand-in, from the remaining misfit."""
 
 from types import SimpleNamespace
 
@@ -22,7 +22,7 @@ FROM_MIDDLE = int(np.flatnonzero(ONSET_SHARES == 0.5)[0]) * len(DISCREPANCY_SCAL
 
 
 def share_of(ratio):
-    """Return the share explained where a ratio of it is left."""
+    """Return the explained share at a ratio of remaining to explained displacement."""
     return 1 / (1 + ratio**2)
 
 
@@ -65,7 +65,7 @@ def test_similar_trials_count_as_one():
 
 
 class Trial(SimpleNamespace):
-    """A trial of ten frames, whose tip and middle are seen; sigma is 1 mm."""
+    """A trial of ten frames with tip and middle of the string; sigma is 1 mm."""
 
     point_times = np.repeat(0.1 * np.arange(10), 2)
     times = 0.1 * np.arange(10)
@@ -76,16 +76,16 @@ class Trial(SimpleNamespace):
 
 
 def displaced(early, late):
-    """Return residuals whose tips are off by so many sigma in x, and middles by 99."""
+    """Return residuals of the tip in x [sigma], and of 99 sigma in the middle."""
     x = np.where(Trial.point_times < 0.45, early, late).astype(float)
     x[~Trial.is_tip] = 99.0
     return np.stack([x, np.zeros_like(x)], axis=1).ravel()
 
 
 def find_shares(monkeypatch, cause, misfit, left, grid_point):
-    """Find shares where a cause moves the tip by so much, early and late.
+    """Compute shares of a cause from its early and late tip shifts.
 
-    misfit, left: what is off without the cause and with it.
+    misfit, left: misfit without the cause and with it.
     """
     data = SimpleNamespace(trials=[Trial()])
     without = SimpleNamespace(residuals=[displaced(*cause)])
@@ -102,8 +102,13 @@ def find_shares(monkeypatch, cause, misfit, left, grid_point):
     [
         ((4, 40), (0, 20), 0, [1 - 200 / 808]),  # over the whole trial
         ((4, 40), (1, 20), FROM_MIDDLE, [1 - 1 / 16]),  # while the model holds
-        ((0.5, 40), (0, 20), FROM_MIDDLE, [1 - 200 / 800.125]),  # does nothing then
-        ((0.5, 0.5), (0, 0), FROM_MIDDLE, []),  # nor later
+        (
+            (0.5, 40),
+            (0, 20),
+            FROM_MIDDLE,
+            [1 - 200 / 800.125],
+        ),  # no effect before the onset
+        ((0.5, 0.5), (0, 0), FROM_MIDDLE, []),  # no effect at all
     ],
 )
 def test_shares_are_computed_where_the_model_holds(
@@ -115,6 +120,6 @@ def test_shares_are_computed_where_the_model_holds(
 
 
 def test_a_trial_without_misfit_does_not_show_what_a_cause_explains(monkeypatch):
-    """Another initial state makes up for the cause, which moves the tip by 40 mm."""
+    """Another initial state compensates the cause, which moves the tip by 40 mm."""
     found = find_shares(monkeypatch, (4, 40), (0, 0), (0, 0), 0)
     assert not found.size

@@ -27,7 +27,7 @@ TOLERANCE_M = 2e-3
 
 
 def likelihood_of_swing(arm, number):
-    """Measure a swing, which is wilder the higher its number."""
+    """Simulate a swing that is faster for a higher number."""
     model = with_second_order_mesh(ordinary(arm))
     rng = np.random.default_rng(0)
     *_, angles = swing_angles(arm, number, 0.4)

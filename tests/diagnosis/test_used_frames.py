@@ -1,4 +1,4 @@
-"""Which frames of a trial are used: neither rest at its end nor more than needed."""
+"""The frames of a trial that are used: without final rest and superfluous ones."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def model(arm):
 
 
 def make_trial(model, frame, s, points, times):
-    """Make a trial with points (n, 2) [m], of which only times and places matter."""
+    """Make a trial with points (n, 2) [m]; only their times and places matter."""
     return PreparedTrial(
         "t", model, None, times, frame, s, points, np.full(len(s), 1e-3)
     )
@@ -38,7 +38,7 @@ def make_trial(model, frame, s, points, times):
 def test_the_resolved_frequency_of_a_long_trial_is_logged(
     model, caplog, seconds, words
 ):
-    """Splines follow 30 Hz in a trial of a second, and less in a longer one."""
+    """Splines resolve 30 Hz in a trial of a second, and less in a longer one."""
     times = np.arange(0, seconds, 1 / 240)
     frame = np.zeros(1, dtype=int)
     trial = make_trial(model, frame, S[:1], np.zeros((1, 2)), times)
@@ -52,7 +52,7 @@ def test_the_resolved_frequency_of_a_long_trial_is_logged(
     ("seconds", "rate_hz", "step"), [(0.9, 240, 1), (4.0, 240, 3), (10.0, 30, 1)]
 )
 def test_a_film_is_thinned_to_what_its_splines_need(model, seconds, rate_hz, step):
-    """Of a film of one second every frame is used, of a longer one fewer."""
+    """In a film of a second all frames are used, in a longer one fewer."""
     times = np.arange(0, seconds, 1 / rate_hz)
     frame = np.repeat(np.arange(len(times)), 5)
     points = np.stack([times[frame], np.tile(S, len(times))], axis=-1)
@@ -93,7 +93,7 @@ def test_rest_at_the_end_is_trimmed(swinging_trial, damped_swing):
 def test_earlier_rest_at_another_place_is_kept(swinging_trial):
     """The rest position is that at the end of the trial.
 
-    For most of the time the string rests elsewhere.
+    Here the string rests at another place before.
     """
     trial = swinging_trial
     is_early = trial.times[trial.frame] < 6.0

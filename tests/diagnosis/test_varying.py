@@ -1,4 +1,4 @@
-"""A cause that varies between trials: one size shared by all, and an offset of each."""
+"""A cause that varies between trials, with a common size and a deviation in each."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def hypothesis(arm):
 
 
 def simulate_curved_strings(arm, hypothesis, offsets):
-    """Simulate trials with offsets [1/m] of the curvature; fit what they share."""
+    """Simulate trials with different curvatures [1/m]; fit the common one."""
     rng = np.random.default_rng(0)
     places = np.array([4, 8, 12, 16, 20])
     model = hypothesis.model
@@ -44,7 +44,7 @@ def simulate_curved_strings(arm, hypothesis, offsets):
 def test_curvatures_that_vary_are_estimated_with_their_mean(arm, hypothesis):
     """Curvatures that vary are estimated with their mean.
 
-    The mean is as exact as four trials can determine it.
+    The mean is as accurate as four trials can determine it.
     """
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = simulate_curved_strings(arm, hypothesis, offsets)
@@ -55,7 +55,7 @@ def test_curvatures_that_vary_are_estimated_with_their_mean(arm, hypothesis):
     mean = MEAN_CURVATURE + offsets.mean()
     assert fit.values[CURVATURE] == pytest.approx(mean, abs=tolerance)
 
-    # Random effects do not replace the shared curvature
+    # Random effects do not replace the common curvature
     without = fit_hypothesis(
         data,
         hypothesis.without_cause(effects_by_name()["rest_curvature"]),

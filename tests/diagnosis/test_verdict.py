@@ -1,4 +1,4 @@
-"""The verdict as a pure function of a few numbers, and their measurement."""
+"""The verdict as a pure function of a few numbers, and their computation."""
 
 from dataclasses import replace
 
@@ -169,7 +169,7 @@ def test_look_alikes_are_grouped():
 def test_causes_are_named_before_they_are_confirmed():
     """Causes are named before they are confirmed.
 
-    Held-out trials are only searched if no cause is named in the others.
+    Held-out trials are searched only if no cause is named in the others.
     """
     assert name_causes(replace(FOUND, trials=1), CRITERIA).causes == ("wind",)
 
@@ -192,15 +192,15 @@ def test_remark_on_one_trial_states_the_probable_cause():
 @pytest.mark.parametrize(
     ("before", "after", "share"),
     [
-        # a trial that is far off and stays so has one vote
+        # a trial with a large constant misfit has the weight of one
         ((40.0, 4.0, 4.0, 4.0), (40.0, 0.1, 0.1, 0.1), 0.75),
-        # a trial that alone is explained has one vote
+        # a single explained trial has the weight of one
         ((40.0, 4.0, 4.0, 4.0), (1.0, 4.0, 4.0, 4.0), 0.25),
-        # trials within the tolerance do not count
+        # trials within the tolerance are ignored
         ((4.0, 4.0, 1.0, 1.0), (0.1, 0.1, 1.5, 1.5), 1.0),
-        # a larger misfit counts as much as a smaller one
+        # larger and smaller misfits have equal weight
         ((4.0, 1.0), (0.1, 4.0), 0.03),
-        # where all are within the tolerance, the largest misfit counts
+        # if all are within the tolerance, the largest misfit is used
         ((1.0, 0.5), (0.5, 0.5), 0.75),
     ],
 )

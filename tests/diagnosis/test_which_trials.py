@@ -1,4 +1,4 @@
-"""Choice of the trials that are searched, and confirmation of what is found."""
+"""Choice of the searched trials, and confirmation of causes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -35,9 +35,9 @@ from stringcast.stages.model.library import effects_by_name
 def test_a_trial_that_is_resolved_only_with_causes_is_used(
     uncertainty_m, kept_each_time, rejected, monkeypatch
 ):
-    """A trial that is resolved only with causes is searched as well.
+    """A trial that is resolved only with causes is searched, too.
 
-    The third trial is chaotic without a cause, and so uncertain with one [m].
+    The third trial is chaotic without a cause; with one, its uncertainty is given [m].
     """
     kept = []
 
@@ -51,7 +51,7 @@ def test_a_trial_that_is_resolved_only_with_causes_is_used(
     def select(state, *given):
         prepared = state.prepared
         yield SelectionState(prepared, fit_with("wind"))
-        # where a cause resolves the trial, no more are sought without it
+        # if a cause resolves the trial, the search without it stops
         assert prepared.chaotic_trials == tuple(rejected)
         yield SelectionState(prepared, fit_with("wind", "clamp"))
 
@@ -64,7 +64,7 @@ def test_a_trial_that_is_resolved_only_with_causes_is_used(
 
 
 def test_proposals_are_kept_without_a_chaotic_trial(arm):
-    """The page lists it. The fits of these steps were to a trial that is gone."""
+    """The page lists proposals. Fits of these steps included a trial left out now."""
     hypothesis = Hypothesis(with_second_order_mesh(ordinary(arm)))
     model = hypothesis.model
     rng = np.random.default_rng(0)
@@ -94,10 +94,10 @@ def test_proposals_are_kept_without_a_chaotic_trial(arm):
 
 @pytest.mark.parametrize("returns", [False, True])
 def test_a_trial_that_is_chaotic_with_causes_is_used_again_once(returns, monkeypatch):
-    """A strip took 80 s more to be searched anew, and other causes were found.
+    """For a strip, a search from the start took 80 s more and found other causes.
 
-    The third trial is chaotic with the causes whenever it is there. It may be resolved
-    by those that are found without it.
+    The third trial is chaotic with the causes found with it. It may be resolved with
+    those found without it.
     """
 
     def prepared(names, chaotic=()):
@@ -130,13 +130,13 @@ def test_a_trial_that_is_chaotic_with_causes_is_used_again_once(returns, monkeyp
     every = ["t0", "t1", "t2"]
     both = ("wind", "clamp")
     assert prepared_with == ([every, every] if returns else [every])
-    assert begun_with == [(), ("wind",)]  # no cause is sought with the trial
+    assert begun_with == [(), ("wind",)]  # no cause is searched with the trial
     assert causes == both
     assert [*used.left_out] == ["t2"]
 
 
 def test_a_search_is_repeated_with_short_steps_if_long_ones_are_chaotic(monkeypatch):
-    """Steps were chosen with the base model, of another string than with the causes."""
+    """Steps were chosen for the base model, whose string may differ."""
 
     def prepare(model, observations, tolerance, rng, starts, progress, step_s, keep):
         steps_s.append(step_s)
@@ -162,10 +162,10 @@ def test_a_search_is_repeated_with_short_steps_if_long_ones_are_chaotic(monkeypa
 def test_an_outlying_trial_that_the_causes_predict_is_used_again(
     is_predicted, monkeypatch
 ):
-    """A trial may be outlying by causes that were wrong.
+    """A trial may be outlying because causes were wrong.
 
-    The last trial is outlying in every search. Once the causes found without it
-    predict it, it stays, and so do these causes.
+    The last trial is outlying in every search. After the causes found without it
+    predict it, it stays, as do these causes.
     """
 
     def prepare(model, observations, *given):
@@ -200,7 +200,7 @@ def test_an_outlying_trial_that_the_causes_predict_is_used_again(
 def test_a_search_is_repeated_in_a_wider_range_if_causes_require_it(arm, monkeypatch):
     """The search in the narrow range may have led to other causes.
 
-    The third trial is chaotic without a cause, and returns at once in the wide range.
+    The third trial is chaotic without a cause, and is used again in the wide range.
     """
     model = ordinary(arm)
     grasp = {p.name: p for p in model.string.parameters}["grasp_stiffness"]
@@ -230,7 +230,7 @@ def test_a_search_is_repeated_in_a_wider_range_if_causes_require_it(arm, monkeyp
 
 
 def prepared_trials(trials=(), uncertainty_m=(), chaotic=()):
-    """Stand for prepared trials, with a base model that has no causes."""
+    """Return a stand-in for prepared trials, with a base model without causes."""
     hypothesis = SimpleNamespace(model=None, causes=())
     return SimpleNamespace(
         mesh_is_model=True,
@@ -243,12 +243,12 @@ def prepared_trials(trials=(), uncertainty_m=(), chaotic=()):
 
 
 def fit_with(*causes):
-    """Stand for a fit with these causes."""
+    """Return a stand-in for a fit with these causes."""
     return SimpleNamespace(hypothesis=SimpleNamespace(causes=causes))
 
 
 def keep_causes(prepared, found, *given):
-    """Take the causes that were found before as they are."""
+    """Keep the causes found before."""
     return SelectionState(prepared, found.fit)
 
 
@@ -260,7 +260,7 @@ def settle(
     model=None,
     widen=lambda data, fit, criteria: None,
 ):
-    """Search three trials until it is settled which of them are used."""
+    """Search three trials until the choice of trials settles."""
     monkeypatch.setattr(cause_search, "widen_ranges_with_causes", widen)
     monkeypatch.setattr(cause_search, "_steps_are_long", lambda state: steps_are_long)
     monkeypatch.setattr(cause_search, "prepare_data", prepare)

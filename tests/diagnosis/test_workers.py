@@ -28,7 +28,7 @@ from tests.diagnosis.test_identifiability import prepare_swings, simulate_swings
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="needs a safe fork")
 log = logging.getLogger("stringcast.tests.workers")
-DEADLINE_S = 10.0  # for workers to end
+DEADLINE_S = 10.0  # time for workers to end
 
 
 class Lines(logging.Handler):
@@ -54,7 +54,7 @@ def lines():
 
 
 def is_running(process):
-    """Return whether a process that is no child of this one has not ended."""
+    """Return whether a process that is not a child of this one is running."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -143,7 +143,7 @@ def test_an_interruption_ends_all_workers(tmp_path):
 
 
 def test_an_interruption_while_a_worker_starts_is_not_lost():
-    """Python ignores what callbacks of a fork raise, such as a handler of a signal."""
+    """Python ignores exceptions in callbacks of a fork, such as signal handlers."""
 
     def interrupt(number, frame):
         raise InterruptRequest
@@ -185,7 +185,7 @@ def test_workers_end_if_their_process_is_killed(tmp_path):
 
 @pytest.fixture(scope="module")
 def prepared(arm):
-    """Prepare three swings of a string with wind, and fit the base model."""
+    """Prepare three swings of a string in wind, and fit the base model."""
     model = with_second_order_mesh(ordinary(arm))
     windy = model.with_effects(Wind)
     trials = simulate_swings(arm, windy, TRUTH | {"wind.along_x": 1.0}, 0)
