@@ -1,4 +1,4 @@
-"""A slow trial before the first cast shows the string; the first cast is planned with it."""
+"""A slow trial before the first cast, whose estimate is used to plan it."""
 
 import json
 from dataclasses import replace
@@ -88,7 +88,7 @@ def test_a_run_with_a_look_is_verified_exactly(whole, tmp_path):
 
 
 def test_an_unreadable_look_is_not_used(tmp_path):
-    """The first cast is then planned as if there had been none."""
+    """The first cast is then planned as without a look."""
     read = []
 
     def extract(footage, camera, *, progress):

@@ -126,7 +126,7 @@ def test_a_run_states_the_missing_causes_of_its_model(whole):
 
 
 def test_an_unreadable_trial_is_not_used(tmp_path):
-    """The first cast is not read: the run goes on, and learns from the second alone."""
+    """The first cast is not read: the run continues with only the second."""
     read = []
 
     def extract(footage, camera, *, progress):
@@ -161,7 +161,7 @@ def test_verify_notices_another_explanation(whole, tmp_path):
 
 @pytest.mark.parametrize("entered", [True, False])
 def test_a_tip_that_enters_the_box_without_a_hit_is_stated(entered):
-    """It came within 8 mm of the centre, at 8 m/s where 14 m/s were wanted."""
+    """It came within 8 mm of the centre, at 8 m/s instead of the required 14 m/s."""
     found = {Points: SimpleNamespace(readings=READINGS.empty())}
     verdict = HitResult(False, 0.25, 0.008, entered=entered)
     cast = SimpleNamespace(number=2, has_hit=False, verdict=verdict, find=found.get)

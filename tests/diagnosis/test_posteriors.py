@@ -172,7 +172,7 @@ def test_a_cause_within_the_credible_set_is_not_replaced(monkeypatch):
 def test_a_cause_is_removed_only_if_its_place_is_probably_empty(
     none, rival, own, kept, monkeypatch
 ):
-    """ "None" may be the most probable of many, but the place probably has a cause."""
+    """No cause may be the most probable of many, but the place probably has a cause."""
     fits = {
         "one": named_fit("one", "a"),
         "two": named_fit("two", "b"),

@@ -1,4 +1,4 @@
-"""Fast formulas of normal distributions, compared with dense ones of a few numbers."""
+"""Fast formulas of normal distributions, compared with dense matrices."""
 
 from types import SimpleNamespace
 
@@ -43,9 +43,9 @@ def make_film(times, sigma):
     )
 
 
-# Points that are read better in later frames mix time and place
+# With smaller sigma in later frames, time and place do not separate
 MIXED_SIGMA_M = np.linspace(5e-4, 2e-3, FRAMES * POINTS)
-# These do not, and there are more frames than splines
+# Here they separate, and there are more frames than splines
 SEPARABLE_SIGMA_M = np.tile(np.linspace(5e-4, 2e-3, POINTS), FRAMES)
 
 
@@ -94,7 +94,7 @@ def test_the_covariance_of_a_discrepancy_is_its_kernel(film):
 
 
 def test_the_correlation_time_is_at_least_two_knot_spacings(film):
-    """Of a minute, 64 splines are 0.95 s apart, and two gaps are the correlation time."""
+    """In a minute, 64 splines are 0.95 s apart; the correlation time is twice that."""
     film.times = np.linspace(0.0, 60.0, FRAMES)
     film.sigma = np.ones(FRAMES * POINTS)
     root = root_at_points(film, np.ones(FRAMES))[film.s == LENGTH]
@@ -111,7 +111,7 @@ def test_white_noise_is_white_in_the_coefficients(errors):
 
 
 def dense_discrepancy(film, errors, grid_point):
-    """Compute the covariance of a grid point in coefficients from that of points."""
+    """Compute the covariance of coefficients at a grid point from that of points."""
     onset, scale_index = divmod(grid_point, SCALES)
     root = root_at_points(film, sizes_by_onset(film.times, GROWTH)[onset])
     at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
@@ -183,7 +183,7 @@ def test_posterior_samples_of_a_discrepancy_have_its_posterior_variance(
 
 @pytest.mark.parametrize("onset", [0, 2, 4])
 def test_the_onset_of_a_discrepancy_is_found(film, onset):
-    """Draw twenty of 20 mm that begin at the same time, and add noise."""
+    """Draw twenty discrepancies of 20 mm with the same onset, and add noise."""
     film.times = np.linspace(2.0, 3.2, FRAMES)
     errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
     rng = np.random.default_rng(4)
@@ -214,7 +214,7 @@ def test_time_and_place_separate_if_all_frames_show_the_same_places():
     film = make_film(times, SEPARABLE_SIGMA_M)
     alike = DiscrepancyBasis.for_trial(film, GROWTH)
     assert isinstance(alike.noise_basis, SeparableNoiseBasis)
-    # points that are missing, frames read better than others, and too few frames
+    # missing points, frames with smaller sigma, and too few frames
     film.sigma = np.repeat(np.linspace(5e-4, 2e-3, FRAMES), POINTS)
     few_frames = make_film(2 * times, SEPARABLE_SIGMA_M)
     some = make_film(times, SEPARABLE_SIGMA_M[1:])
@@ -232,7 +232,7 @@ def functions_at_points(smooth):
 
 
 def test_sums_over_points_are_those_of_all_products(film):
-    """Also where frames have fewer points, in any order."""
+    """Frames may have fewer points, in any order."""
     kept = np.random.default_rng(7).permutation(FRAMES * POINTS)[:-11]
     film.frame, film.s, film.sigma = film.frame[kept], film.s[kept], film.sigma[kept]
     smooth = find_noise_basis(film).functions
@@ -266,16 +266,16 @@ def test_coefficients_are_recovered_from_the_points_evaluated_from_them(film):
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3])
 def test_the_restricted_likelihood_is_that_of_dense_matrices(correlation):
-    """Compare the likelihood of contrasts that hold no smooth motion.
+    """Compare with the likelihood of contrasts that contain no smooth motion.
 
-    The prior counts as PLACE_FUNCTIONS frames of white noise.
+    The prior has the weight of PLACE_FUNCTIONS frames of white noise.
     """
     rng = np.random.default_rng(4)
     places = basis.PLACE_FUNCTIONS
     tracks = []
     for frames, splines in ((12, 3), (9, 2)):
         smooth = rng.standard_normal((frames, splines))
-        smooth = np.column_stack([smooth, smooth[:, 0]])  # one of them twice
+        smooth = np.column_stack([smooth, smooth[:, 0]])  # one of them occurs twice
         values = rng.standard_normal((frames, 2 * places))
         tracks.append(noise.NoiseTrack(smooth, values))
 

@@ -1,4 +1,4 @@
-"""Fits, their evidence and covariance, of problems that are solved by hand."""
+"""Fits, evidence and covariance of problems that are solved by hand."""
 
 from types import SimpleNamespace
 
@@ -25,7 +25,7 @@ FAR = Parameter("b", "1", "", low=0.0, high=4.0, start=1.0)
 class LinearData:
     """Two trials whose residuals are linear in three exponents.
 
-    One grid point of the discrepancy is likely in each, and numbers are its deviations.
+    In each, one grid point of the discrepancy is likely; residuals are scaled by it.
     """
 
     likely = np.array([2, 5])
@@ -54,7 +54,7 @@ class LinearData:
         return found
 
     def overall_tip_rms(self, displacements):
-        """Compute it of a tip that is the last two numbers, in millimetres."""
+        """Compute it from the last two numbers, in millimetres."""
         squares = [np.sum(rows[:, -2:] ** 2, axis=1) for rows in displacements]
         return 1e-3 * np.sqrt(np.mean(squares, axis=0))
 
@@ -106,7 +106,7 @@ def test_the_evidence_is_likelihood_times_prior_times_volume(chi):
         ((-1.0, 0.0), 0.125),  # g^2 / 2 H
         ((-1.0, -2.0), 0.125 + 1.0),
         ((1.0, -2.0), 1.0),  # the first exponent is at its bound
-        ((0.0, -6.0), 5.0),  # the second comes to a bound
+        ((0.0, -6.0), 5.0),  # the second reaches a bound
     ],
 )
 def test_the_predicted_gain_of_a_step_is_the_fall_of_a_quadratic_within_bounds(
@@ -124,7 +124,9 @@ def test_the_error_of_the_evidence_is_the_gain_to_the_best_exponents():
         slope.T / index for slope, index in zip(data.slopes, data.likely, strict=True)
     ]
     offsets = [-o / index for o, index in zip(data.offsets, data.likely, strict=True)]
-    prior = np.sqrt(12.0) * np.eye(3)[[0, 2]]  # about the middle, but for the amplitude
+    prior = (
+        np.sqrt(12.0) * np.eye(3)[[0, 2]]
+    )  # prior centred in the middle, except for the amplitude
     matrix = np.vstack([*rows, prior])
     target = np.concatenate([*offsets, prior.sum(axis=1) / 2])
     best = lsq_linear(matrix, target, bounds=(0.0, 1.0))
@@ -137,7 +139,7 @@ def test_the_error_of_the_evidence_is_the_gain_to_the_best_exponents():
 
 
 class ScaledData(LinearData):
-    """The same trials, whose discrepancies are normal of any scale from 1 on."""
+    """The same trials, with normal discrepancies of any scale of at least 1."""
 
     def log_likelihood_by_grid_point(self, residuals):
         scales = 1.0 + np.arange(GRID_POINTS)
@@ -154,7 +156,7 @@ class ScaledData(LinearData):
 
 @pytest.mark.parametrize("size", [0.2, 3.0, 20.0])
 def test_a_fit_maximises_the_likelihood_of_exponents_and_grid_points(size):
-    """No other grid points and exponents are likelier by more than 0.01."""
+    """No other grid points and exponents gain more than 0.01 in log-likelihood."""
     data = ScaledData()
     data.offsets = [size * offset for offset in data.offsets]
     hypothesis = hypothesis_of(UNIT)
@@ -211,7 +213,7 @@ def test_finite_differences_step_into_the_range(start, offset):
 
 @pytest.mark.parametrize("limit", [np.inf, 1.0])
 def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(limit):
-    """Of residuals of 2 with a slope of 5,000, whose loss is 4, or 3 by Huber."""
+    """Residuals are 2, with a slope of 5,000. Their loss is 4, or Huber's 3."""
     residuals = curved(0.1)
     calls = []
 
@@ -236,7 +238,7 @@ def test_a_covariance_is_of_slopes_over_a_tenth_of_the_residual(limit):
 
 
 def test_a_jackknife_leaves_out_each_block_in_turn():
-    """Compare with regressions that lack a block, whose numbers are not together."""
+    """Compare with regressions without each block; blocks are interleaved."""
     rng = np.random.default_rng(2)
     block = rng.permutation(np.repeat([4, 0, 7, 9, 2], [8, 12, 10, 6, 14]))
     design = 100 * rng.standard_normal((50, 2))
@@ -341,7 +343,7 @@ EXPONENTIAL = Parameter("e", "1", "", low=1e-2, high=1.0, start=0.1)
 def test_trial_steps_are_damped_in_exponents_and_values_and_stay_within_bounds(
     chi, gradient
 ):
-    """One parameter from 0.01 to 1, whose curvature is 4."""
+    """One parameter from 0.01 to 1, with a curvature of 4."""
     runs = SimpleNamespace(
         chi=np.array([[chi]]),
         held=np.array([[False]]),
@@ -386,7 +388,7 @@ def test_trial_steps_are_limited_by_bounds_and_longest_steps(monkeypatch):
 
 
 class Line:
-    """Residuals chi @ slopes - measured, of two parameters and four numbers."""
+    """Four residuals chi @ slopes - measured with two parameters."""
 
     parameters = (UNIT, UNIT)
     limit = np.inf
@@ -428,7 +430,7 @@ def test_difference_widths_move_points_by_a_tenth_of_the_residual_within_limits(
 def fake_step(
     monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9, is_slow=False
 ):
-    """Step a run of loss 1 whose eight trial steps have these losses, of ten numbers."""
+    """Step a run with ten residuals, loss 1, and given losses of eight trial steps."""
     points = np.arange(8.0)[:, None]
     problem = SimpleNamespace(
         parameters=(UNIT,),
@@ -467,7 +469,7 @@ def test_a_run_takes_the_best_of_its_steps(monkeypatch, best, damping):
 
 
 def test_a_step_that_gains_what_slopes_predict_needs_no_further_trial_step(monkeypatch):
-    """Of a promise of 0.5 it gains 0.41 or 0.39; more damping would gain 0.9."""
+    """The predicted gain is 0.5, the gain 0.41 or 0.39; more damping would gain 0.9."""
     for least_damped in (0, 4):
         losses = np.full(8, 0.1)
         losses[[0, 4]] = 0.7
@@ -480,7 +482,7 @@ def test_a_step_that_gains_what_slopes_predict_needs_no_further_trial_step(monke
 
 
 def test_a_run_stops_if_it_gains_too_little_or_no_damping_helps(monkeypatch):
-    """Ten numbers gain 5 ln(loss before / after) of the log-likelihood."""
+    """Ten residuals gain 5 ln(loss before / after) in log-likelihood."""
     large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
     assert fake_step(monkeypatch, large, promise=0.0099).active[0]
     assert not fake_step(monkeypatch, small, promise=0.0099).active[0]

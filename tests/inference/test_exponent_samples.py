@@ -22,7 +22,7 @@ def sample(parameters, centre, covariance, count=COUNT):
 
 
 def sample_by_rejection(parameters, centre, covariance):
-    """Return exponents in the unit square, kept as often as they are likely."""
+    """Return exponents in the unit square by rejection sampling."""
     chi = np.random.default_rng(1).uniform(0, 1, (1_000_000, 2))
     moved = parameter_values(parameters, chi) - parameter_values(parameters, centre)
     square = np.sum((moved @ np.linalg.inv(covariance)) * moved, axis=1)
@@ -32,7 +32,7 @@ def sample_by_rejection(parameters, centre, covariance):
 @pytest.mark.parametrize("pair", PAIRS)
 @pytest.mark.parametrize("correlation", [0.0, 0.9, -0.98])
 def test_samples_agree_with_rejection_sampling(pair, correlation):
-    """The valley is bent in exponents, and its ends lie at the faces of the square."""
+    """The valley is curved in exponents, with its ends at the sides of the square."""
     parameters = PAIRS[pair]
     drag, other = parameters
     centre = np.array([drag.chi(np.array(0.5)), other.chi(np.array(0.3))])

@@ -1,4 +1,4 @@
-"""Initial states of a string, compared with what they are by hand."""
+"""Initial states of a string, compared with calculations by hand."""
 
 from types import SimpleNamespace
 
@@ -30,7 +30,7 @@ def kinematics(s, position, velocity=None, position_sigma=1e-4, velocity_sigma=0
 
 
 def places_on_curve(s, angle):
-    """Follow a curve of pieces to arc lengths, and straight on beyond its end."""
+    """Compute places on a curve of pieces, which continues straight beyond its end."""
     places = []
     for one in s:
         place = POSE[:2].copy()
@@ -59,7 +59,7 @@ def test_places_move_with_the_angles_of_the_pieces():
 
 
 def test_parabolas_have_the_coefficients_of_least_squares():
-    """A place that is seen in three frames leaves nothing to tell its noise from."""
+    """A place that is seen in three frames has no residual to estimate noise from."""
     t = np.array([0.0, 0.01, 0.02, 0.03])
     tracks = np.random.default_rng(0).standard_normal((4, 2, 2))
     tracks[3, 1] = np.nan
@@ -85,7 +85,7 @@ def test_the_initial_line_passes_through_measured_places():
     corners = [0.05, 0.15, 0.25, 0.35]
     turned = 2 * np.pi + np.array([np.pi / 2, np.pi / 2, 0.0, 0.0])
     assert angles == pytest.approx(np.interp(middles, corners, turned))
-    # of more places only those nearest to ten corners count
+    # if there are more places, only those nearest to ten corners are used
     s = np.linspace(0.0, 0.4, 81)
     noisy = POSE[:2] + s[:, None] * [0.0, 1.0]
     noisy[1::2] += [0.05, 0.0]
@@ -94,7 +94,7 @@ def test_the_initial_line_passes_through_measured_places():
 
 
 def test_the_shape_is_the_posterior_mean_at_the_wander_of_highest_evidence():
-    """Where the curve is all but straight, the posterior is that of one linear step."""
+    """If the curve is almost straight, the posterior is that of one linear step."""
     rng = np.random.default_rng(1)
     s = np.linspace(0.04, 0.4, 8)
     angle = POSE[2] + 1.2 * np.sin(np.linspace(0, 3, CURVE_PIECES))
@@ -117,7 +117,7 @@ def test_the_shape_is_the_posterior_mean_at_the_wander_of_highest_evidence():
 
 @pytest.mark.parametrize("size", [0.1, 0.5, 1.0, 2.0, 4.0])
 def test_a_string_is_taken_to_move_only_with_clear_evidence(size):
-    """Twenty to one against a string that turns with the hand."""
+    """The evidence must be 20 to 1 against a string that turns with the hand."""
     s = np.linspace(0.05, 0.4, 8)
     angle = np.full(CURVE_PIECES, -np.pi / 2)
     slope = initial_state._place_slopes(s, angle, LENGTH)
@@ -143,7 +143,7 @@ def test_a_string_is_taken_to_move_only_with_clear_evidence(size):
 
 
 def test_a_state_at_the_first_frame_has_the_turning_rate_of_the_hand():
-    """A straight string that turns with its hand, 0.1 s after the motion begins."""
+    """A straight string turns with its hand, 0.1 s after the motion begins."""
     tick, count = 0.01, 40
     t = tick * np.arange(count)
     rate = np.array([0.2, -0.1, 2.0])
@@ -167,7 +167,7 @@ def test_a_state_at_the_first_frame_has_the_turning_rate_of_the_hand():
 
 
 def test_an_outlying_place_is_left_out_of_the_first_frames():
-    """Five times the median residual is an outlier, and the rest give the noise."""
+    """Five times the median residual is an outlier; the others give the noise."""
     t = 0.01 * np.arange(4)
     sizes = np.array([1.0, 1.0, 1.0, 4.9, 5.1])  # of residuals of a parabola
     pattern = np.array([-1.0, 3.0, -3.0, 1.0])[:, None] / np.sqrt(20)
@@ -187,7 +187,7 @@ def test_an_outlying_place_is_left_out_of_the_first_frames():
 
 
 def test_a_place_in_a_gap_of_a_frame_is_not_seen_there():
-    """Nearer than a twentieth of the length it is interpolated."""
+    """In a gap smaller than a twentieth of the length it is interpolated."""
     s = np.array([0.1, 0.2, 0.3, 0.1, 0.219, 0.3, 0.1, 0.221, 0.3])
     frame = np.repeat(np.arange(3), 3)
     points = np.column_stack([s, 2 * s])
@@ -198,7 +198,7 @@ def test_a_place_in_a_gap_of_a_frame_is_not_seen_there():
 
 
 def moving_trial(amplitudes=None, memory=0.2):
-    """Return a trial that begins in a known state, with other parts left out."""
+    """Return a trial with a known initial state and few other fields."""
     state = StringState(
         1.0, np.array([0.1, 0.3]), np.array([0.5, 0.6]), np.array([2.0, 3.0]), memory
     )
@@ -251,7 +251,7 @@ def test_a_string_with_memory_has_a_parameter_for_its_reversal():
 
 @pytest.fixture
 def linear_residuals(monkeypatch):
-    """Let the points of a trial move by fixed shapes with its amplitudes."""
+    """Make the points of a trial linear in its amplitudes."""
     shapes = np.random.default_rng(3).standard_normal((13, 8))
 
     def residuals(trial, values, amplitudes):
@@ -263,7 +263,7 @@ def linear_residuals(monkeypatch):
 
 
 def test_modes_are_fitted_with_a_unit_prior(linear_residuals):
-    """Ridge regression: the prior counts as one residual for each amplitude."""
+    """Ridge regression: the prior has one residual for each amplitude."""
     trial = moving_trial(memory=0.0)
     truth = np.full(13, 0.5)
     found = initial_modes.fit_initial_state(
@@ -274,7 +274,7 @@ def test_modes_are_fitted_with_a_unit_prior(linear_residuals):
         shapes @ shapes.T + np.eye(13), shapes @ shapes.T @ truth
     )
     amplitudes = initial_modes.initial_amplitudes(found)
-    assert expected[12] > 0  # a hinge cannot be let back by less than nothing
+    assert expected[12] > 0  # the reversal of a hinge cannot be negative
     assert amplitudes == pytest.approx(expected, abs=2e-3)
 
 
@@ -292,7 +292,7 @@ def test_residuals_of_the_initial_state_are_white_or_those_of_divergence(monkeyp
 
 
 def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
-    """The noise is that of residuals with the amplitudes as they are."""
+    """The noise is that of residuals with the present amplitudes."""
     calls = []
 
     def residuals(trial, values, amplitudes):
@@ -308,14 +308,14 @@ def test_a_state_is_refined_with_the_first_part_of_the_trial(monkeypatch):
     trial = moving_trial(np.arange(12.0), memory=0.25)
     initial_modes.refine_initial_state(trial, "values", 0.4)
     (frames, amplitudes), fit = calls
-    assert frames == 3  # up to and with 0.4 s
+    assert frames == 3  # until 0.4 s, included
     assert amplitudes == pytest.approx(np.array([[*range(12), 0.5]]))
     assert fit[0] is trial
     assert len(fit[1].times) == 3
     assert fit[2] == "values"
     assert fit[3](np.ones(1)) == pytest.approx(1 / (1.4826 * 4.0))
     assert fit[4] == initial_modes.STATE_MIN_GAIN
-    assert fit[5] == 2.0  # outliers count less
+    assert fit[5] == 2.0  # Huber's limit
     initial_modes.refine_initial_state(trial, "values")
     assert calls[2][0] == 3  # half a second
 
@@ -357,7 +357,7 @@ def test_resetting_the_initial_state_displaces_points_by_its_modes():
     trial = moving_trial(amplitudes, memory=0.25)
     shapes = np.zeros((8, 15))
     shapes[:, 1] = np.arange(8.0)
-    shapes[:, 12] = 1.0  # of what lets the string back, by half
+    shapes[:, 12] = 1.0  # of the reversal, scaled by half
     shapes[:, 13:] = 99.0  # of other causes
     found = initial_modes.reset_initial_state_linear(trial, shapes)
     moved = (2 * np.arange(8.0) + 0.5).reshape(4, 2) * trial.sigma[:, None]

@@ -31,7 +31,7 @@ def trial(model):
 
 @pytest.fixture
 def simulated(monkeypatch):
-    """Return a list of the candidates in each simulation, which is faked."""
+    """Return a list of the candidates in each simulation, with fake simulations."""
     batches = []
 
     def simulate(model, trials, values):

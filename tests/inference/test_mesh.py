@@ -1,6 +1,6 @@
 """The ladder of meshes.
 
-Its estimated error is the true error, and the optimum found on it is the minimum.
+The estimated error is the true error, and the optimum found is the minimum.
 """
 
 import numpy as np
@@ -71,7 +71,7 @@ def test_the_error_of_a_mesh_is_of_second_order_and_the_distance_from_the_truth(
 
 
 def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
-    """A mesh with four times as many segments stands for the limit."""
+    """A mesh with four times as many segments replaces the limit."""
     coarse, fine = likelihood(cast_set, 20, 1e-3), likelihood(cast_set, 77, 2.5e-4)
     chi = parameter_exponents(coarse.parameters, cast_set.truth)
     counts = resolved_frames(coarse, chi, 1.0)

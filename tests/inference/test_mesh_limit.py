@@ -1,4 +1,4 @@
-"""A solution at the limit of the mesh is that of the string itself."""
+"""Solutions at the mesh limit are those of the string itself."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ from tests.inference.estimation_sets import (
 COARSE = model(20, 1e-3)
 FAR_FINER = model(153, 1.25e-4)  # 8 times as many segments
 START_RAD = (0.6, -0.4, -0.3)
-SWING_RAD = 0.15  # of each joint: the hand moves at 0.5 m/s
+SWING_RAD = 0.15  # of each joint; the hand moves at 0.5 m/s
 
 
 def fit_slow_swing(chain, name, swing_rad=SWING_RAD):
@@ -56,7 +56,7 @@ def fit_slow_swing(chain, name, swing_rad=SWING_RAD):
 
 
 def standard_errors_off(likelihood, chi, truth, name):
-    """Return how far a parameter is from its true exponent, in standard errors."""
+    """Return the error of a parameter's exponent in standard errors."""
     covariance = parameter_covariance(linearise(likelihood, chi))
     number = COARSE.names.index(name)
     deviation = np.sqrt(covariance.matrix[number, number])
@@ -74,7 +74,7 @@ def test_a_corrected_coarse_mesh_gives_the_true_stiffness(name):
 
 
 def test_correction_removes_nine_tenths_of_the_error_of_a_barely_sufficient_mesh():
-    """String D bends over 18 mm, and the segments are 16 mm long."""
+    """String D bends over 18 mm; segments are 16 mm long."""
     likelihood, chi, truth = fit_slow_swing(FAR_FINER, "D")
     _, best = refine_at_mesh_limit(likelihood, chi)
     stiffness = COARSE.names.index("bending_stiffness")
@@ -91,14 +91,14 @@ def test_data_of_the_mesh_itself_are_not_corrected():
 
 
 def test_corrections_of_a_soft_string_start_from_a_finer_mesh():
-    """From the solution on the mesh itself, it left a quarter more."""
+    """From the solution on the mesh itself, the noise was a quarter larger."""
     likelihood, chi, _ = fit_slow_swing(FAR_FINER, "D", swing_rad=0.4)
     corrected, _ = refine_at_mesh_limit(likelihood, chi)
     assert corrected.noise_scales[0] < 0.64 * likelihood.noise_scales[0]
 
 
 def test_amplitudes_are_those_of_a_regression_with_a_normal_prior():
-    """Two shapes of 4 and 1 sigma at one number each: shares of 16/17 and 1/2."""
+    """Two shapes of 4 and 1 sigma in one residual each have shares of 16/17 and 1/2."""
     shapes = np.array([[4.0, 0.0], [0.0, 1.0]])
     found = likely_amplitudes(shapes, np.array([8.5, 3.0]))
     np.testing.assert_allclose(found, [2.0, 1.5])
@@ -108,7 +108,7 @@ def test_amplitudes_are_those_of_a_regression_with_a_normal_prior():
 def test_an_uncertain_error_is_subtracted_with_its_estimated_amplitude(
     arm, camera, amplitude
 ):
-    """Another shape, such as of an initial state, stays in the points."""
+    """Another shape, such as that of an initial state, stays in the points."""
     model = Model(STRING, arm, camera)
     trial = prepare_trial(model, observed(3))
     progress = np.linspace(0, 1, len(trial.points))
@@ -116,7 +116,7 @@ def test_an_uncertain_error_is_subtracted_with_its_estimated_amplitude(
     other_m = 0.005 * np.stack([np.cos(9 * progress), np.sin(9 * progress)], axis=1)
     shapes = [(m / trial.sigma[:, None]).ravel() for m in (other_m, uncertain_m)]
     errors = IndependentErrors(scale=1.0, nuisance=np.stack(shapes, axis=1))
-    # the residual is simulated less measured
+    # the residual is simulated minus measured
     points = trial.points - amplitude * uncertain_m - 0.7 * other_m
     shifted = replace(trial, points=points, error_model=errors)
     likelihood = Likelihood(TrialData((shifted,)), model)

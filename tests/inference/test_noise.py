@@ -1,6 +1,6 @@
 """Noise of a camera whose readings are not independent.
 
-It is separated from motion, and correlated readings count for less.
+It is separated from motion, and correlated readings have less weight.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 
 FRAMES, PLACES_SEEN = 120, 14
-# share of the neighbour's noise; correlation with the frame before
+# share of the neighbour's noise; correlation with the previous frame
 SHARE, BEFORE = 0.4, 0.3
 T = np.arange(FRAMES) / 120
 S = 0.3 * np.linspace(0.1, 1.0, PLACES_SEEN)
@@ -43,7 +43,7 @@ S = 0.3 * np.linspace(0.1, 1.0, PLACES_SEEN)
 
 @pytest.fixture
 def trial(arm, camera):
-    """Return a string in 120 frames, of which only times and places matter."""
+    """Return a trial of 120 frames; only its times and places matter."""
     frame, s = (a.ravel() for a in np.meshgrid(np.arange(FRAMES), S, indexing="ij"))
     grasp = np.repeat([[0.1, 0.4, -np.pi / 2]], FRAMES, axis=0)
     still = np.zeros((len(s), 2))
@@ -71,7 +71,7 @@ def along_string():
 def noisy(rng, count=1):
     """Draw residuals over sigma, (count, n, 2).
 
-    They are correlated along the string and with the frame before.
+    They are correlated along the string and with the previous frame.
     """
     in_time = np.linalg.cholesky(toeplitz(BEFORE ** np.arange(FRAMES)))
     in_place = np.linalg.cholesky(along_string())
@@ -159,7 +159,7 @@ def test_sums_over_a_film_have_the_variance_of_the_dense_covariance(trial):
 
 @pytest.mark.parametrize("missing", [0, 5])
 def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
-    """Also where points are missing, so that time and place do not separate."""
+    """With missing points, time and place do not separate."""
     kept = np.arange(len(trial.s)) >= missing
     seen = trial.select_points(kept)
     in_place = place_functions(seen.s, 0.3)
@@ -182,8 +182,8 @@ def test_correlated_noise_is_white_in_the_coefficients(trial, missing):
 def test_estimates_of_smooth_motion_have_their_stated_uncertainty(trial):
     """The stated uncertainty of a smooth motion is its scatter.
 
-    Over 400 noises its amplitude varies by one stated deviation where their correlation
-    is known. Where they are taken for independent, it varies by much more than stated.
+    In 400 samples of noise, an amplitude varies by one stated deviation if the correlation
+    is known. If noise is assumed independent, it varies by much more.
     """
     motion = np.repeat(
         (np.sin(9 * T[trial.frame]) * trial.s / 0.3)[:, None], 2, axis=1
@@ -229,7 +229,7 @@ def test_a_discrepancy_is_located_under_any_noise(trial):
 
 
 def test_trials_with_equal_places_times_noise_and_growth_share_a_basis(trial):
-    """Corrected points have the same basis, as long as anything uses it."""
+    """Corrected points have the same basis, as long as it is in use."""
     growth = np.ones(FRAMES)
     basis = DiscrepancyBasis.for_trial(trial, growth)
     corrected = replace(trial, points=trial.points + 1e-3)
@@ -252,7 +252,7 @@ def test_trials_with_equal_places_times_noise_and_growth_share_a_basis(trial):
 
 
 def test_samples_at_some_points_are_those_of_samples_at_all_points(trial):
-    """Draws at the tip alone are those at all points, and agree with their mean."""
+    """Samples at the tip alone are those at all points, and agree with their mean."""
     no_shapes = np.zeros((2 * len(trial.s), 0))
     one = Discrepancy.for_trial(trial, np.ones(FRAMES), no_shapes)
     wave = 30 * np.sin(9 * T[trial.frame] + 3 * trial.s) * trial.s / 0.3

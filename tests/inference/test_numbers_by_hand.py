@@ -1,4 +1,4 @@
-"""Priors, scales, horizons and intervals, compared with what they are by hand."""
+"""Priors, scales, horizons and intervals, compared with calculations by hand."""
 
 from types import SimpleNamespace
 
@@ -53,7 +53,7 @@ def test_the_prior_of_an_exponent_is_that_of_its_tip_shift():
     found = laplace.log_prior(ONE_SIDED, 0.2, 0.004, 0.5)
     density = laplace.tip_shift_density(np.asarray(0.004), ONE_SIDED)
     assert found == pytest.approx(np.log(density * 0.004 / 0.2))
-    # where the cause is absent, its slope counts
+    # without the cause, the slope is used
     found = laplace.log_prior(ONE_SIDED, 0.0, 0.004, 0.5)
     density = laplace.tip_shift_density(np.asarray(0.0), ONE_SIDED)
     assert found == pytest.approx(np.log(density * 0.5))
@@ -147,7 +147,7 @@ def test_the_grid_point_is_integrated_out_and_the_most_probable_one_is_chosen():
 
 
 def test_without_a_discrepancy_the_first_onset_is_chosen():
-    """Rounding makes one of the others likelier, and none of them begins."""
+    """Rounding makes another onset likelier, which has no meaning."""
     onsets = len(discrepancy_grid.ONSET_SHARES)
     by_grid_point = np.full((onsets, len(discrepancy_grid.log_grid_prior())), -50.0)
     no_discrepancy = by_grid_point.reshape(onsets, onsets, -1)[:, :, 0]
@@ -186,9 +186,9 @@ def test_undetermined_uniform_parameters_stay_in_the_middle():
 
 
 def moving(onset_s, state=None, turn=0.2, axis=2):
-    """Return a trial of a 0.3 m string whose hand turns at once, by so much [rad].
+    """Return a trial of a 0.3 m string whose hand turns suddenly, by an angle [rad].
 
-    Along axes 0 and 1 it moves by so many metres.
+    On axes 0 and 1 it moves by a distance [m] instead.
     """
     pose = np.repeat([[0.5, -0.4, -1.5]], 10, axis=0)
     pose[:, axis] += turn * (np.arange(10) * 0.01 > onset_s)
@@ -221,7 +221,7 @@ def test_trials_are_cut_after_the_motion_onset(monkeypatch, trial, last):
     monkeypatch.setattr(Likelihood, "with_trials", lambda self, trials: trials)
     fitted = Likelihood(SimpleNamespace(trials=[trial]), None)
     assert fitted.cut_after_onset(0.1) == pytest.approx([last])
-    assert fitted.cut_after_onset(0.0)[0] >= 1.03  # two frames at least
+    assert fitted.cut_after_onset(0.0)[0] >= 1.03  # at least two frames
 
 
 def test_horizons_grow_up_to_most_of_the_longest_trial():
@@ -237,14 +237,14 @@ def test_horizons_grow_up_to_most_of_the_longest_trial():
     swing = np.pi / 2.405 * 0.2  # a quarter of its period
     found = horizons(search_of(4, 0.9, 1000))
     assert found == pytest.approx([swing, 1.75 * swing, np.inf])
-    # 40 numbers are needed, and 100 come in a second
+    # 40 numbers are needed, and there are 100 per second
     assert horizons(search_of(4, 1.0, 50)) == pytest.approx([0.4, 0.7, np.inf])
     assert horizons(search_of(4, 0.0, 50)) == pytest.approx([swing, np.inf])
     assert horizons(search_of(4, swing, 1000)) == pytest.approx([swing, np.inf])
 
 
 class Mesh:
-    """A likelihood on a mesh, of which only the name is known."""
+    """A likelihood on a mesh, represented by its name."""
 
     def __init__(self, name):
         self.name = name
@@ -305,7 +305,7 @@ def test_iterations_are_divided_among_horizons_before_the_last(
 
 
 def test_known_parameters_start_only_fits_to_whole_trials(monkeypatch):
-    """The beginning of a trial would lead them astray."""
+    """Fits to the first part of a trial would move them away."""
     monkeypatch.setattr(search, "horizons", lambda likelihood: [0.1, np.inf])
     monkeypatch.setattr(search, "mesh_ladder", lambda likelihood: [Mesh("fine")])
     fitted = []
@@ -326,7 +326,7 @@ def test_known_parameters_start_only_fits_to_whole_trials(monkeypatch):
 
 
 class TwoSlopes:
-    """A slope that falls from 3 to 2.99, and beyond it one that falls to 0."""
+    """A gentle slope of the residual from 3 to 2.99, and beyond it one to 0."""
 
     parameters = (Parameter("a", "1", "", 0.0, 1.0, 0.0),)
     limit = np.inf
@@ -340,12 +340,12 @@ class TwoSlopes:
         gentle = 2.99 + 0.02 * chi
         steep = 20 * (chi - 0.9)
         residuals = np.where(chi < 0.5, gentle, steep) * np.ones(400)
-        residuals[:, 0] = 0.1  # that nothing explains
+        residuals[:, 0] = 0.1  # a constant residual
         return residuals
 
 
 def test_a_start_far_behind_the_best_is_dropped_in_whole_trials(monkeypatch):
-    """The best is further from its end at first, and promises to come to it."""
+    """The best start is far from its optimum at first; its predicted gain is large."""
     monkeypatch.setattr(
         search, "with_estimated_noise", lambda likelihood, chi: likelihood
     )
@@ -356,7 +356,7 @@ def test_a_start_far_behind_the_best_is_dropped_in_whole_trials(monkeypatch):
     evaluated = np.concatenate(slopes.evaluated)
     assert evaluated.min() == 0.0  # the end of the gentle slope ...
     is_difference = (evaluated > 0) & (evaluated < 2e-3)
-    assert not is_difference.any()  # ... where nothing is differenced any more
+    assert not is_difference.any()  # ... where it stopped
 
 
 def test_candidates_are_screened_on_the_coarsest_mesh_at_the_first_horizon(monkeypatch):
@@ -377,10 +377,10 @@ def test_the_better_half_of_the_starts_goes_on_from_different_places():
     apart = 10.0 * np.arange(20)[:, None] * np.ones(4)
     assert search._survivors(apart, loss) == list(range(10))
     assert search._survivors(apart[:12], loss[:12]) == list(range(8))
-    apart[1] = apart[0] + 0.09  # less than a tenth of the residual from the best
+    apart[1] = apart[0] + 0.09  # less than a tenth of the residual away from the best
     apart[2] = apart[0] + 0.11
     assert search._survivors(apart, loss) == [0, *range(2, 10)]
-    # of a residual of two, 0.19 is the same place; the opposite is another one
+    # with a residual of 2, 0.19 is the same place; the opposite sign is another one
     for away, kept in ((0.19, [0]), (0.21, [0, 1]), (-4.0, [0, 1])):
         apart = np.array([2.0, 2.0 + away])[:, None] * np.ones(4)
         assert search._survivors(apart, np.array([4.0, 4.0])) == kept
@@ -433,7 +433,7 @@ def test_slopes_of_the_initial_state_step_away_from_the_bounds(monkeypatch):
 
 
 def film(frames, points, rng):
-    """Return a trial of a 0.3 m string, with places that differ from frame to frame."""
+    """Return a trial of a 0.3 m string, with different places in each frame."""
     return SimpleNamespace(
         times=0.01 * np.arange(frames),
         frame=np.repeat(np.arange(frames), points),
@@ -449,7 +449,7 @@ def test_noise_is_estimated_after_smooth_motion_is_removed():
     swing = 50 * np.sin(9 * trial.times[trial.frame]) * trial.s / 0.3
     rest, found = remove_smooth_motion(trial, noise + swing[:, None])
     assert found == pytest.approx(1.0, abs=0.03)
-    assert np.std(rest) < 0.95  # splines follow some of the noise
+    assert np.std(rest) < 0.95  # splines fit some of the noise
     assert np.corrcoef(rest[:, 0], noise[:, 0])[0, 1] > 0.9
 
 
@@ -495,7 +495,7 @@ def test_a_place_is_used_if_seen_in_three_of_the_first_four_frames(lost, seen):
     times = 0.01 * np.arange(8)
     frame, s = np.repeat(np.arange(8), 3), np.tile([0.1, 0.2, 0.3], 8)
     points = np.column_stack([s, 0.5 * s])
-    points[frame >= 4] += 1.0  # later frames do not count
+    points[frame >= 4] += 1.0  # later frames are not used
     kept = ~((s == 0.2) & (frame >= 4 - lost) & (frame < 4))
     found = first_frame_kinematics(times, frame[kept], s[kept], points[kept], 1e-3, 0.3)
     assert list(found.s) == seen

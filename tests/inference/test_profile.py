@@ -1,4 +1,4 @@
-"""Intervals along a bent valley of the likelihood."""
+"""Intervals along a curved valley of the likelihood."""
 
 from dataclasses import dataclass
 
@@ -39,7 +39,7 @@ def precision_at_best(problem):
 
 
 def reaches(bend, indices=(0, 1)):
-    """Return how far exponents reach below and above, in metres."""
+    """Return how far intervals reach below and above the best exponents."""
     valley = Valley(bend)
     precision = precision_at_best(valley)
     found = profile_reaches(valley, BEST, precision, indices, HALF_WIDTH)
@@ -47,23 +47,23 @@ def reaches(bend, indices=(0, 1)):
 
 
 def test_intervals_of_a_straight_valley_are_those_of_a_normal_posterior():
-    """In a straight valley the profile is that of a normal posterior."""
+    """In a straight valley, the intervals are those of a normal posterior."""
     deviations = np.array([ALONG, np.hypot(ALONG, ACROSS)])
     expected = HALF_WIDTH * np.stack([deviations, deviations], axis=1)
     assert reaches(0.0) == pytest.approx(expected, rel=1e-6)
 
 
 def test_intervals_of_a_curved_valley_end_where_the_likelihood_has_fallen():
-    """The profile of y goes along the valley to x = 2 standard deviations."""
+    """The profile of y follows the valley to x = 2 standard deviations."""
     bend = 2.0
     end = HALF_WIDTH * ALONG
     below, above = reaches(bend, [1])[0]
     assert above == pytest.approx(end + bend * end**2, rel=0.05)
-    assert below == pytest.approx(end, rel=1e-3)  # never nearer than the normal one
+    assert below == pytest.approx(end, rel=1e-3)  # at least as far as the normal one
 
 
 def test_an_interval_ends_at_the_end_of_its_range():
-    """An exponent that nothing determines reaches beyond its range."""
+    """The normal interval of an undetermined exponent exceeds its range."""
 
     class Flat(Valley):
         def residuals(self, chi):

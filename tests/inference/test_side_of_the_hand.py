@@ -1,4 +1,4 @@
-"""The side of a hand that points up on which a string hangs before it moves.
+"""The side on which a string at rest hangs from a hand that points up.
 
 The first frames show it.
 """
@@ -37,7 +37,7 @@ def model(arm, camera):
 
 
 def observed(model, values, side, lean, places):
-    """Simulate a string that hangs left (1) or right (-1) of a hand.
+    """Simulate a string that hangs on the left (1) or right (-1) of a hand.
 
     The hand leans [rad] to the other side.
     """
@@ -67,9 +67,9 @@ def observed(model, values, side, lean, places):
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
 def test_a_trial_at_rest_is_on_the_side_of_its_first_frames(model, where, lean):
-    """A trial begins on the side that its first frames show.
+    """A string at rest is on the side of its first frames.
 
-    This holds alone, or together with one that begins on the other side.
+    This holds for a single trial and together with one on the other side.
     """
     values = model.values(NAMED)[None]
     trials = [

@@ -1,6 +1,6 @@
-"""Damped least squares of many runs.
+"""Damped least squares of many runs in parallel.
 
-It finds the minimum, within bounds, for any valley and any other runs.
+It finds the minimum within bounds, in any valley and with any other runs.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +34,7 @@ TRUTH = np.array([3.0, 0.02])
 class Decay:
     """A level that decays by two rates.
 
-    The data determine hardly more than their sum: a valley bent in exponents.
+    The data determine hardly more than their sum: a valley curved in exponents.
     """
 
     parameters: tuple[Parameter, ...] = RATES
@@ -59,7 +59,7 @@ class Decay:
 
 
 class Torn(Decay):
-    """A decay that cannot be simulated where its first rate is above 5."""
+    """A decay whose simulation diverges if its first rate is above 5."""
 
     def residuals(self, chi):
         torn = parameter_values(self.parameters, chi)[:, 0] > 5.0
@@ -67,9 +67,9 @@ class Torn(Decay):
 
 
 def test_the_minimum_of_a_curved_valley_is_reached_from_all_starts():
-    """The bottom of a bent valley is reached from any start.
+    """The minimum of a curved valley is reached from all starts.
 
-    SciPy's trust region, straight in exponents, has not reached it after as many
+    SciPy's trust region, with steps in exponents, has not reached it after as many
     evaluations of the slopes.
     """
     starts = np.random.default_rng(0).uniform(0.05, 0.95, (8, 2))
@@ -128,9 +128,9 @@ def test_runs_do_not_depend_on_other_runs():
 
 
 def test_an_iteration_takes_few_batches_and_finished_runs_cost_nothing():
-    """Eight runs of two parameters take their residuals, then 8 x 2 differences.
+    """Eight runs of two parameters need their residuals and 8 x 2 differences.
 
-    Then they take 8 x 2 steps of least damping, and the 8 x 6 others from where these
+    Then they try 8 x 2 steps of least damping, and 8 x 6 other steps if these
     gain too little.
     """
     problem = Decay()
@@ -198,7 +198,7 @@ def test_a_direction_without_curvature_does_not_move():
 def test_the_minimum_of_a_quadratic_in_a_box_is_that_of_a_grid():
     """The minimum of a quadratic in a box is that of a fine grid.
 
-    A parameter that would pass a side stays on it, and the other is optimal there.
+    A parameter that would leave the box stays on its side; the other is optimal there.
     """
     normal, gradient = np.array([[2.0, 1.2], [1.2, 1.0]]), np.array([-3.0, -0.5])
     low, high = np.array([-1.0, -0.8]), np.array([1.0, 0.8])
@@ -223,7 +223,7 @@ def test_hubers_weights_have_the_slope_of_its_loss():
 
 
 class NarrowBowl:
-    """A bowl that is narrower than the first differences are wide."""
+    """A bowl narrower than the width of the first differences."""
 
     parameters = (LEVEL[2],)
     limit = np.inf
@@ -234,7 +234,7 @@ class NarrowBowl:
 
 
 def test_a_run_without_an_improving_step_narrows_its_differences():
-    """Over 1e-4 the slope is upwards, to the left of the minimum."""
+    """Left of the minimum, the difference over 1e-4 has the wrong sign."""
     start = np.array([[0.5]])
     wide = NarrowBowl().residuals(start + 1e-4) - NarrowBowl().residuals(start)
     assert wide > 0
@@ -244,7 +244,7 @@ def test_a_run_without_an_improving_step_narrows_its_differences():
 
 @dataclass
 class Pit(Decay):
-    """A decay whose residuals are larger everywhere but at one place."""
+    """A decay whose residuals are larger everywhere except at one point."""
 
     place: float = 0.0
 
@@ -255,7 +255,7 @@ class Pit(Decay):
 
 
 def test_a_run_stops_if_no_step_gains_and_the_predicted_gain_is_small():
-    """Slopes about a pit promise 11 of the log-likelihood, and no step gains it."""
+    """Slopes around a pit predict a gain of 11, but no step gains anything."""
     noise = np.random.default_rng(3).standard_normal(len(TIMES))
     optimum = fit_least_squares(Decay(noise=noise), np.full((1, 2), 0.5)).chi
     pit = Pit(noise=noise, place=optimum[0, 0])
@@ -270,7 +270,7 @@ def test_a_run_stops_if_no_step_gains_and_the_predicted_gain_is_small():
 
 
 def test_held_exponents_do_not_move():
-    """Held parameters stay exactly, and the others make up for them."""
+    """Held parameters are constant, and the others are optimal given them."""
     problem = Decay()
     start = np.array([[0.6, 0.3], [0.7, 0.5]])
     held = np.array([[True, False], [False, True]])

@@ -49,7 +49,7 @@ def true(hypothesis):
 def begun(trial, *off):
     """Return the trial with another initial state.
 
-    Its first modes are off by the given amounts.
+    Its first modes differ by the given amounts.
     """
     return with_initial_amplitudes(
         trial, np.pad(np.array(off), (0, 2 * INITIAL_MODES - len(off)))
@@ -59,9 +59,9 @@ def begun(trial, *off):
 def test_a_wrong_initial_state_is_corrected_from_the_motion(trial, hypothesis, true):
     """A distant initial state is found from the string's motion.
 
-    Modes about the distant state cannot explain the motion. About the state that is
-    found, the residual is noise. Mode amplitudes count from the state of the first
-    frames, wherever the search began.
+    Modes linearised at the distant state cannot explain the motion. At the state
+    found, the residual is noise. Mode amplitudes are relative to the state of the first
+    frames, for any start of the search.
     """
     far, measured = (
         attach_discrepancy_model([each], hypothesis, true)
@@ -77,7 +77,7 @@ def test_a_wrong_initial_state_is_corrected_from_the_motion(trial, hypothesis, t
     assert near.tip_rms_by_trial(mean_discrepancy(near, here))[0] < NOISE
     assert here.log_evidence > off.log_evidence + 100
     assert here.log_evidence == pytest.approx(there.log_evidence, abs=0.5)
-    # In standard deviations: modes make up for the rest
+    # In standard deviations: modes compensate the rest
     assert near.trials[0].mode_amplitudes == pytest.approx(
         found.trials[0].mode_amplitudes, abs=0.1
     )

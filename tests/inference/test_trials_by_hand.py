@@ -1,4 +1,4 @@
-"""Prepared trials and what is computed from them, compared with what it is by hand."""
+"""Prepared trials and quantities from them, compared with calculations by hand."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -38,7 +38,7 @@ def model(arm, camera):
 
 
 def lying_trial(**changes):
-    """Return a trial of four frames with two places each."""
+    """Return a trial of four frames with two points each."""
     points = np.arange(16.0).reshape(8, 2)
     trial = PreparedTrial(
         "t",
@@ -143,7 +143,7 @@ T = np.arange(0, 0.1, 0.01)
 
 
 def observe(theta, swing=0.0, noise=1e-3, **more):
-    """Observe a straight string that leaves a hand at a lean, with two bad points."""
+    """Observe a straight string at an angle to the hand, with two bad points."""
     places = np.linspace(0.03, LENGTH, 10)
     angle = theta + swing
     line = places[:, None] * [np.cos(angle), np.sin(angle)]
@@ -206,7 +206,7 @@ def test_an_initial_state_is_cached_until_its_inputs_change(model):
 
     first = start()
     assert start() is first
-    # only the median standard deviation counts
+    # only the median standard deviation is used
     assert start(noise=None) is start(noise=None)
     others = [start(2e-3), start(None), start(length=0.31), start(t=1.1), start(s=0.9)]
     others += [start(x=1.1), start(y=1.1)]
@@ -224,7 +224,7 @@ def test_the_motion_is_that_of_joints_if_given_else_of_the_grasp():
 
 
 def swinging(model, seconds, start=None, sway=0.3, turn=0.0):
-    """Return a trial of so many seconds whose hand sways to and fro."""
+    """Return a trial with a swaying hand and a given duration [s]."""
     t = np.arange(0, seconds, 0.02)
     pose = np.column_stack([sway * t**2, 0.1 * t, -np.pi / 2 + t])
     count = len(t)
@@ -243,7 +243,7 @@ def swinging(model, seconds, start=None, sway=0.3, turn=0.0):
 
 
 def state_at(t, candidates=None):
-    """Return a state at a time, of one string or of each candidate."""
+    """Return a state at a time, for one string or for each candidate."""
     angle = np.array([-1.5, -1.2, -0.9])
     if candidates:
         angle = angle + 0.1 * np.arange(candidates)[:, None]
@@ -256,7 +256,7 @@ def state_at(t, candidates=None):
     "names", [(), ("time_offset",), ("rolling_shutter", "time_offset", "arm_lag")]
 )
 def test_trials_in_a_batch_are_simulated_as_alone(model, names, monkeypatch):
-    """Hands and films of other lengths, at rest and in motion, from other clocks."""
+    """Hands and films have different lengths and clocks, at rest and in motion."""
     lagging = model.with_effects(*find_effects(list(names)))
     chi = np.random.default_rng(0).uniform(0.3, 0.6, (3, len(lagging.parameters)))
     values = np.stack([p.value(chi[:, i]) for i, p in enumerate(lagging.parameters)], 1)
@@ -318,7 +318,7 @@ def test_a_mesh_correction_is_linear_at_its_centre_and_saturates():
     line = 0.2 + np.linspace(-0.1, 0.1, 2001)[:, None]  # far beyond the radius
     (_, change) = correction.correction_at(("b",), line)
     bends = np.diff(change[:, 0], n=2) / 1e-4  # of the slope, 30 at the centre
-    assert np.abs(bends).max() < 0.1  # no corner
+    assert np.abs(bends).max() < 0.1  # smooth
     moved = correction.centred_at({"b": 0.23, "c": 0.0})
     assert moved.chi.tolist() == [0.5, 0.23]
     assert correction.chi.tolist() == [0.5, 0.2]
@@ -399,7 +399,7 @@ def test_trials_have_their_own_likelihood_and_nuisance():
 
 
 def test_the_error_of_a_mesh_is_the_distance_from_a_finer_one(monkeypatch):
-    """Of three points in two trials: 3, 4 and 12 mm in x, and 5 mm in y."""
+    """Errors of three points in two trials: 3, 4 and 12 mm in x, and 5 mm in y."""
     away = {"coarse": 0.0, "fine": 1e-3}
     trials = [
         np.array([[[3.0, 0.0], [4.0, 0.0]]]),
@@ -420,7 +420,7 @@ def test_the_error_of_a_mesh_is_the_distance_from_a_finer_one(monkeypatch):
 
 
 class Fitted:
-    """A likelihood whose residuals are given, of trials that begin in motion or not."""
+    """A likelihood with given residuals, of trials that begin in motion or at rest."""
 
     def __init__(self, residuals):
         self.residual_rows = residuals

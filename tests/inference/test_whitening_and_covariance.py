@@ -15,7 +15,7 @@ from stringcast.stages.inference.whitening import IndependentErrors, LowRankWhit
 def test_whitened_noise_is_white():
     """Whitened noise is white.
 
-    V = 1 + U U' has columns that are all but the same: W V W' = 1, and W = V^(-1/2).
+    V = 1 + U U' has almost equal columns: W V W' = 1, and W = V^(-1/2).
     """
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((30, 4)) * [10.0, 1.0, 0.1, 3.0]
@@ -36,12 +36,12 @@ def test_without_columns_residuals_are_unchanged():
 
 @pytest.mark.parametrize("blocks", [60, 12])
 def test_intervals_contain_the_truth_if_noise_is_correlated(blocks):
-    """Intervals hold where neighbours share their noise.
+    """Intervals contain the truth if noise is correlated.
 
-    Four parameters are estimated from 600 numbers, half of whose noise is that of their
-    block; some parameters are better determined than others. 95 % intervals hold the
+    Four parameters are estimated from 600 numbers. Half of their noise is common to a
+    block; some parameters are better determined than others. 95 % intervals contain the
     truth in 93 to 98 % of 300 repetitions (a sandwich's in 85 to 94). If all numbers
-    are taken for independent, a third of the variance is stated at most.
+    are assumed independent, the stated variance is at most a third.
     """
     rng = np.random.default_rng(0)
     block = np.repeat(np.arange(blocks), 600 // blocks)
@@ -63,7 +63,7 @@ def test_intervals_contain_the_truth_if_noise_is_correlated(blocks):
 
 @pytest.mark.parametrize("copies", [1, 4, 20])
 def test_copies_of_a_residual_multiply_the_variance_by_their_number(copies):
-    """Every residual is there so many times, with its noise and its slopes."""
+    """Every residual is repeated, with its noise and its slopes."""
     rng = np.random.default_rng(0)
     number = np.repeat(np.arange(1200), copies)
     block = number // 20
@@ -88,8 +88,8 @@ def test_an_undetermined_parameter_has_an_interval_as_wide_as_its_range():
 def test_downweighted_outliers_do_not_widen_intervals():
     """Outliers of small weight do not widen the interval.
 
-    A slope is fitted through noise with one number ten times as far off as any.
-    Weighted by Huber it is as certain as without.
+    A slope is fitted through noise with one outlier, ten times as large as any other.
+    With Huber's weights it is as certain as without the outlier.
     """
     rng = np.random.default_rng(2)
     slope, residual = np.full((1, 200), 20.0), rng.standard_normal(200)
@@ -105,7 +105,7 @@ def test_downweighted_outliers_do_not_widen_intervals():
 
 
 def test_a_residual_that_all_blocks_share_does_not_widen_the_interval():
-    """Away from the optimum all steps are longer by the same: their mean is no spread."""
+    """Away from the optimum all steps have a common part, which is not scatter."""
     block = np.repeat(np.arange(10), 5)
     slope = np.full((1, 50), 20.0)
     noise = np.random.default_rng(3).standard_normal(50)
