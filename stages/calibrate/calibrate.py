@@ -26,7 +26,7 @@ from stringcast.stages.common import Progress
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.spec import StageCall
 
-MIN_SOLVABLE_VIEWS = 4  # the fit needs so many
+MIN_SOLVABLE_VIEWS = 4  # fewer do not determine the lens
 FOLDS = 4  # of the cross-validation of the lens
 
 
@@ -90,7 +90,7 @@ def calibrate(
     views
         Smallest number of usable views.
     spread
-        Required largest angle between two views [rad].
+        Angle that the largest angle between two views must reach [rad].
     coverage
         Smallest share of the picture in which corners were seen.
     rms

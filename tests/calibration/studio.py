@@ -12,7 +12,9 @@ from stringcast.stages.calibrate.fit import lens_from_values
 BOARD = Board((8, 11), 0.024, 0.012, "DICT_4X4_50")  # conf/board/a4.yaml
 SIZE = (640, 480)
 LENS = lens_from_values([720.0, 716.0, 331.0, 233.0, -0.22, 0.09, 0.0012, -0.0008])
-FINER = 2  # factor by which rendering is finer than the picture, before averaging
+OVERSAMPLING = (
+    2  # factor by which rendering is finer than the picture, before averaging
+)
 SQUARE = 48  # pixels of a square of the texture
 
 
@@ -32,19 +34,21 @@ def pose(tilt_x, tilt_y, roll, across, down, distance):
 
 
 @cache
-def looking(lens):
+def pixel_directions(lens):
     """Return the directions (rows, columns, 3) of all fine pixels.
 
     Every eighth is computed. Interpolation between them is smooth.
     """
-    fine = [(np.arange(side * FINER) + 0.5) / FINER - 0.5 for side in SIZE]
+    fine = [
+        (np.arange(side * OVERSAMPLING) + 0.5) / OVERSAMPLING - 0.5 for side in SIZE
+    ]
     coarse = [np.append(every[::8], every[-1]) for every in fine]
     rays = np.moveaxis(lens.rays(np.stack(np.meshgrid(*coarse), axis=-1)), -1, 0)
-    whole = [
+    interpolated = [
         RectBivariateSpline(coarse[1], coarse[0], part)(fine[1], fine[0])
         for part in rays
     ]
-    return np.stack([*whole, np.ones_like(whole[0])], axis=-1)
+    return np.stack([*interpolated, np.ones_like(interpolated[0])], axis=-1)
 
 
 def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
@@ -54,8 +58,8 @@ def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
     """
     # from the board (x, y, 1) to directions
     flat = np.column_stack([turn[:, :2], place])
-    there = looking(lens) @ np.linalg.inv(flat).T
-    on_board = there[..., :2] / there[..., 2:] / board.square * SQUARE - 0.5
+    on_plane = pixel_directions(lens) @ np.linalg.inv(flat).T
+    on_board = on_plane[..., :2] / on_plane[..., 2:] / board.square * SQUARE - 0.5
     texture = cv2.copyMakeBorder(
         board.image(SQUARE),
         SQUARE,
@@ -66,13 +70,15 @@ def picture(turn, place, rng, lens=LENS, board=BOARD, blur=0.6, noise=3.0):
         value=255,
     )
     maps = (on_board + SQUARE).astype(np.float32)
-    seen = cv2.remap(
+    rendered = cv2.remap(
         texture, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderValue=90
     )
-    seen = cv2.resize(
-        cv2.GaussianBlur(seen, (0, 0), blur * FINER), SIZE, interpolation=cv2.INTER_AREA
+    rendered = cv2.resize(
+        cv2.GaussianBlur(rendered, (0, 0), blur * OVERSAMPLING),
+        SIZE,
+        interpolation=cv2.INTER_AREA,
     )
-    lit = 20 + 0.8 * seen.astype(float) * np.linspace(0.8, 1.1, SIZE[0])
+    lit = 20 + 0.8 * rendered.astype(float) * np.linspace(0.8, 1.1, SIZE[0])
     return np.clip(lit + rng.normal(0, noise, lit.shape), 0, 255).astype(np.uint8)
 
 
@@ -92,5 +98,5 @@ TILTED = [
 ]
 
 
-def tilted(rng, poses=TILTED, **how):
-    return [picture(*pose(*each), rng, **how) for each in poses]
+def tilted(rng, poses=TILTED, **settings):
+    return [picture(*pose(*each), rng, **settings) for each in poses]

@@ -26,21 +26,21 @@ from stringcast.stages.calibrate.views import BoardView, detect_board
 from stringcast.stages.model.camera import CAMERA_AXES, Camera
 
 NOMINAL = Camera(320, 320, 340.0, (1.0, 1.0), 200.0, exposure=0.001)
-PLACE = BoardPlacement((0.3, 0.1), 0.2)
-DEMANDS = {
-    "place": PLACE,
+PLACEMENT = BoardPlacement((0.3, 0.1), 0.2)
+THRESHOLDS = {
+    "place": PLACEMENT,
     "views": 10,
     "spread": 0.5,
     "coverage": 0.6,
     "rms": 0.5,
     "astray": 3.0,
 }
-FLAT = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
+FLAT_POSE = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
 
 
 def draw_pictures(seed, **how):
     rng = np.random.default_rng(seed)
-    return tilted(rng, **how), picture(*FLAT, rng, **how)
+    return tilted(rng, **how), picture(*FLAT_POSE, rng, **how)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def clean(pictures):
 
 
 def calibrate_pictures(pictures, flat, board=BOARD, **changed):
-    return calibrate(pictures, [flat], board, NOMINAL, **DEMANDS | changed)
+    return calibrate(pictures, [flat], board, NOMINAL, **THRESHOLDS | changed)
 
 
 def true_pixels(world):
@@ -62,9 +62,9 @@ def true_pixels(world):
 
     They are computed by way of the board and OpenCV.
     """
-    turn, place = FLAT
-    c, s = np.cos(PLACE.turn), np.sin(PLACE.turn)
-    board = (world - PLACE.corner) @ np.array([[c, -s], [s, c]])
+    turn, place = FLAT_POSE
+    c, s = np.cos(PLACEMENT.turn), np.sin(PLACEMENT.turn)
+    board = (world - PLACEMENT.corner) @ np.array([[c, -s], [s, c]])
     solid = np.column_stack(
         [board[:, 0], BOARD.size[1] - board[:, 1], np.zeros(len(world))]
     )
@@ -104,7 +104,7 @@ def test_the_plane_of_the_board_is_recovered(clean):
         200.0,
         0.001,
     )
-    world = PLACE.to_world(
+    world = PLACEMENT.to_world(
         np.random.default_rng(0).uniform(0, 1, (200, 2)) * BOARD.size
     )
     pixels = true_pixels(world)
@@ -113,7 +113,7 @@ def test_the_plane_of_the_board_is_recovered(clean):
     np.testing.assert_allclose(camera.pixels(camera.world(pixels)), pixels, atol=1e-6)
     truth = {
         "px_per_m": LENS.mean_focal / _distance(),
-        "rotation": -0.04 - PLACE.turn,
+        "rotation": -0.04 - PLACEMENT.turn,
         "tilt[0]": 0.03,
         "tilt[1]": -0.05,
     }
@@ -125,7 +125,7 @@ def test_the_plane_of_the_board_is_recovered(clean):
 
 def _distance():
     """Return the distance from the lens along its axis to the board."""
-    turn, place = FLAT
+    turn, place = FLAT_POSE
     return turn[:, 2] @ place / turn[2, 2]
 
 
@@ -179,9 +179,9 @@ def test_a_calibration_is_reproducible_to_the_bit():
 
 def test_the_covariance_has_the_standard_deviations_of_opencv():
     views = detect_exactly(np.random.default_rng(4), 0.3)
-    ours = np.sqrt(np.diag(fit_lens(views, BOARD, SIZE).covariance))
+    sigmas = np.sqrt(np.diag(fit_lens(views, BOARD, SIZE).covariance))
     solid = [BOARD.points.astype(np.float32)] * len(views)
-    theirs = cv2.calibrateCameraExtended(
+    opencv_sigmas = cv2.calibrateCameraExtended(
         solid,
         [view.pixels.astype(np.float32) for view in views],
         SIZE,
@@ -189,7 +189,7 @@ def test_the_covariance_has_the_standard_deviations_of_opencv():
         None,
         flags=cv2.CALIB_FIX_K3,
     )[5].ravel()[:8]
-    np.testing.assert_allclose(ours, theirs, rtol=0.02)
+    np.testing.assert_allclose(sigmas, opencv_sigmas, rtol=0.02)
 
 
 # --- refused sets
@@ -201,7 +201,7 @@ def test_parallel_views_do_not_determine_the_focal_length():
         (0.02 * (k % 2), 0.02 * (k % 3), 0.1 * k, 0.4 * (k % 3 - 1), 0.3 * (k % 2), 0.4)
         for k in range(10)
     ]
-    found = calibrate_pictures(tilted(rng, parallel), picture(*FLAT, rng))
+    found = calibrate_pictures(tilted(rng, parallel), picture(*FLAT_POSE, rng))
     assert not found.outcome["valid"].iloc[0]
     assert (
         "are needed to distinguish focal length from distance. Tilt the board"
@@ -220,13 +220,13 @@ def test_one_view_that_does_not_fit_is_reported(pictures):
     """A view of a bent or shaken board fits no pinhole camera."""
     tilts, flat = pictures
     across, down = np.meshgrid(*(np.arange(side, dtype=np.float32) for side in SIZE))
-    bent = cv2.remap(
+    distorted = cv2.remap(
         tilts[4],
         across + 3 * np.sin(down / 40, dtype=np.float32),
         down,
         cv2.INTER_LINEAR,
     )
-    found = calibrate_pictures([*tilts[:4], bent, *tilts[5:]], flat)
+    found = calibrate_pictures([*tilts[:4], distorted, *tilts[5:]], flat)
     assert found.reason.startswith("view 4 does not fit the others:")
     assert "Leave it out" in found.reason
     assert not found.outcome["valid"].iloc[0]
@@ -247,17 +247,20 @@ def test_too_few_views_are_refused(pictures):
         calibrate_pictures(tilts, np.zeros_like(flat))
 
 
-OTHERS = {
+OTHER_BOARDS = {
     "fewer squares": Board((7, 10), 0.024, 0.012, "DICT_4X4_50"),
     "as many squares, turned": Board((11, 8), 0.024, 0.012, "DICT_4X4_50"),
 }
 
 
-@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("kind", OTHER_BOARDS)
 def test_a_board_of_other_dimensions_is_recognised(pictures, kind):
-    assert "it is another board" in detect_board(0, pictures[0][4], OTHERS[kind]).reason
+    assert (
+        "it is another board"
+        in detect_board(0, pictures[0][4], OTHER_BOARDS[kind]).reason
+    )
     with pytest.raises(DataError, match="it is another board"):
-        calibrate_pictures(*pictures, board=OTHERS[kind])
+        calibrate_pictures(*pictures, board=OTHER_BOARDS[kind])
 
 
 def test_corners_on_one_line_do_not_determine_a_pose(pictures):

@@ -27,7 +27,7 @@ from stringcast.stages.calibrate.views import detect_board
 from stringcast.stages.model.camera import Camera
 from tests.experiments import compose_experiment
 
-SILENT = Terminal(quiet=True)
+QUIET_TERMINAL = Terminal(quiet=True)
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +52,16 @@ def compose_calibration(folders, *more):
 
 
 def test_other_experiments_can_use_the_calibrated_camera(folders, tmp_path):
-    here = compose_calibration(folders, "calibrate.place.corner=[0.1,0.2]")
-    said = Terminal(file=io.StringIO(), width=1000)
-    here.mode.perform(here, tmp_path, said)
+    composed = compose_calibration(folders, "calibrate.place.corner=[0.1,0.2]")
+    output_terminal = Terminal(file=io.StringIO(), width=1000)
+    composed.mode.perform(composed, tmp_path, output_terminal)
     # stored images need no action by the user
-    assert "Press Enter" not in said.file.getvalue()
+    assert "Press Enter" not in output_terminal.file.getvalue()
     assert re.search(
-        r"The camera is known: reprojection error 0\.\d+ px", said.file.getvalue()
+        r"The camera is known: reprojection error 0\.\d+ px",
+        output_terminal.file.getvalue(),
     )
-    assert f"camera_from={tmp_path}" in said.file.getvalue()
+    assert f"camera_from={tmp_path}" in output_terminal.file.getvalue()
     camera = build_dataclass(
         Camera, read_measured_camera(tmp_path), "camera", "camera.yaml"
     )
@@ -106,12 +107,12 @@ def test_a_measured_camera_replaces_the_configured_one_except_on_the_command_lin
 
 
 def test_a_bad_calibration_is_refused_and_its_page_has_the_reason(folders, tmp_path):
-    here = compose_calibration(folders, "calibrate.views=20")
+    composed = compose_calibration(folders, "calibrate.views=20")
     with pytest.raises(
         UserError,
         match=r"12 views can be used, 20 are needed\. Take more\. See .*report\.html",
     ):
-        here.mode.perform(here, tmp_path, SILENT)
+        composed.mode.perform(composed, tmp_path, QUIET_TERMINAL)
     assert not (tmp_path / "camera.yaml").exists()
     assert (
         "No <code>camera.yaml</code> was written"
@@ -132,9 +133,9 @@ def test_a_bad_calibration_is_refused_and_its_page_has_the_reason(folders, tmp_p
     ],
 )
 def test_wrong_settings_are_refused_by_name(folders, tmp_path, wrong, words):
-    here = compose_calibration(folders, wrong)
+    composed = compose_calibration(folders, wrong)
     with pytest.raises(UserError, match=words):
-        here.mode.perform(here, tmp_path, SILENT)
+        composed.mode.perform(composed, tmp_path, QUIET_TERMINAL)
 
 
 def test_the_board_is_drawn_in_its_true_size(tmp_path):

@@ -134,10 +134,10 @@ def by_points() -> list[list[str]]:
                 for n in (9, 14, 28, 56, 112)
             ]
             tips = [tip(string, named) for string in strings]
-            apart = [
+            distances = [
                 1e3 * np.linalg.norm(one - tips[-1], axis=-1).max() for one in tips[:-1]
             ]
-            rows.append([kind, label, *(f"{d:.2f}" for d in apart)])
+            rows.append([kind, label, *(f"{d:.2f}" for d in distances)])
     return rows
 
 
@@ -175,9 +175,14 @@ def paper_motions(letter: str) -> Iterator[HandMotion]:
         for seed, known in product(range(4), (None, true)):
             overrides = [o for o in variants[name] if "reference_points" not in o]
             overrides = ["+experiment=paper", *overrides, "string.reference_points=10"]
-            here = experiment_for_call(tuple(overrides), known)
-            made = here.stages["generate"](
-                here.model, here.target, here.obstacles, None, None, seed=seed
+            experiment = experiment_for_call(tuple(overrides), known)
+            made = experiment.stages["generate"](
+                experiment.model,
+                experiment.target,
+                experiment.obstacles,
+                None,
+                None,
+                seed=seed,
             )
             yield resample_joint_motion(
                 made.commands["t"].to_numpy(), made.commands[list(JOINTS)].to_numpy()
@@ -207,15 +212,15 @@ def by_motion() -> list[list[str]]:
         cells = []
         for letter, hands in motions.items():
             tips = [tip(string, specimen(letter), hand) for hand in hands]
-            away = [
+            distances = [
                 1e3 * np.linalg.norm(a - b, axis=-1)
                 for a, b in zip(tips, exact[letter], strict=True)
             ]
-            rms, most = (
-                [kind(each) for each in away]
+            rms, largest = (
+                [kind(each) for each in distances]
                 for kind in (lambda d: np.sqrt(np.mean(d**2)), np.max)
             )
-            cells.append(f"{np.median(rms):.2f} ({np.median(most):.1f})")
+            cells.append(f"{np.median(rms):.2f} ({np.median(largest):.1f})")
         rows.append([str(points), f"{step * 1e3:g}", *cells])
     return rows
 
@@ -241,9 +246,15 @@ def check() -> list[list[str]]:
         exact = tip(
             fine(points, integrator=RungeKutta4(), largest_step=2e-5), KINDS[kind]
         )
-        mine = replace(fine(points), integrator=ImplicitLeapfrog(), largest_step=1e-5)
+        implicit = replace(
+            fine(points), integrator=ImplicitLeapfrog(), largest_step=1e-5
+        )
         rows.append(
-            [str(points), kind, f"{largest_tip_error_mm(mine, KINDS[kind], exact):.5f}"]
+            [
+                str(points),
+                kind,
+                f"{largest_tip_error_mm(implicit, KINDS[kind], exact):.5f}",
+            ]
         )
     return rows
 

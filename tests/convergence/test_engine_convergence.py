@@ -12,7 +12,7 @@ from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.string import String
 from tests.conftest import TRUTH, waving_pose
 
-NAMED = TRUTH | {
+BASE_VALUES = TRUTH | {
     "axial_stiffness": 2e4,
     "axial_damping": 20.0,
     "bending_stiffness": 2.0,
@@ -23,14 +23,14 @@ T = np.arange(0, 0.6, 0.005)
 HAND = resample_hand_motion(T, waving_pose(T, 0.1, -1.0))
 
 
-CLAMPED = NAMED | {
+CLAMPED = BASE_VALUES | {
     "grasp_stiffness": 5e4,
     "grasp_damping": 1e-4,
     "bending_damping": 0.05,
 }
 
 
-def tip(named: dict[str, float] = NAMED, **settings) -> np.ndarray:
+def tip(named: dict[str, float] = BASE_VALUES, **settings) -> np.ndarray:
     string = String(0.3, **settings)
     return simulate(string, HAND, string.values(named)[None], T).tip[0]
 

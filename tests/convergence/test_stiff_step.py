@@ -44,8 +44,11 @@ def test_all_corners_of_table_3_stay_finite(points):
     values = np.concatenate([corners, inside])
     motion = simulate(string, HAND, values, T)
     assert motion.finite.all()
-    taut = motion.points[values[:, 0] > 1e5]
-    assert np.linalg.norm(taut - taut[:, :, :1], axis=-1).max() < 1.4 * string.length
+    stiff_points = motion.points[values[:, 0] > 1e5]
+    assert (
+        np.linalg.norm(stiff_points - stiff_points[:, :, :1], axis=-1).max()
+        < 1.4 * string.length
+    )
     _, practical = steps_per_tick(
         replace(string, integrator=SemiImplicitEuler()), string.material(values), 0.005
     )
@@ -60,10 +63,12 @@ def test_strong_damping_at_many_points_is_as_accurate_as_small_steps():
     string = implicit_string(25, 5e-4)
     values = string.values(DAMPED)[None]
     exact = replace(string, integrator=RungeKutta4(), largest_step=1e-4)
-    apart = simulate(string, HAND, values, T).tip - simulate(exact, HAND, values, T).tip
+    difference = (
+        simulate(string, HAND, values, T).tip - simulate(exact, HAND, values, T).tip
+    )
     assert steps_per_tick(exact, string.material(values), 0.005)[0][0] > 1000
     assert steps_per_tick(string, string.material(values), 0.005)[0][0] == 11
-    assert np.linalg.norm(apart, axis=-1).max() < 1e-4
+    assert np.linalg.norm(difference, axis=-1).max() < 1e-4
 
 
 class Stiffening(StringEffect):
@@ -81,9 +86,9 @@ class Stiffening(StringEffect):
 def stiffening():
     """Return a string with a cubic spring, and its values."""
     plain = replace(implicit_string(60, 0.005), ranges={})
-    bent = replace(plain, effects=(*PAPER_EFFECTS, Stiffening))
+    stiffening_string = replace(plain, effects=(*PAPER_EFFECTS, Stiffening))
     values = DAMPED | {"quadratic_drag": 1e-4, "stiffening.cube": 1e5}
-    return bent, bent.values(values)[None]
+    return stiffening_string, stiffening_string.values(values)[None]
 
 
 def test_only_the_nonlinear_part_of_a_law_bounds_the_step(stiffening):
@@ -94,18 +99,20 @@ def test_only_the_nonlinear_part_of_a_law_bounds_the_step(stiffening):
         0.005,
     )
     assert steps[0] == 1
-    bent, values = stiffening
-    steps, _ = steps_per_tick(bent, bent.material(values), 0.005)
+    stiffening_string, values = stiffening
+    steps, _ = steps_per_tick(
+        stiffening_string, stiffening_string.material(values), 0.005
+    )
     # slope 3 cube stretch^2 at the largest sampled stretch 0.3; dt = 2 / omega, omega^2
     # = 4 slope (1 + 0.2) / l^2
-    omega = 2 * np.sqrt(1.2 * 3 * 1e5 * 0.3**2) / bent.segment_length
+    omega = 2 * np.sqrt(1.2 * 3 * 1e5 * 0.3**2) / stiffening_string.segment_length
     assert steps[0] == pytest.approx(0.005 * omega / 2 / 0.9, rel=0.2)
 
 
 @pytest.mark.long  # its loop is compiled for 5 s
 def test_a_nonlinear_law_stays_finite_at_the_bounded_step(stiffening):
-    bent, values = stiffening
-    assert simulate(bent, HAND, values, T).finite.all()
+    stiffening_string, values = stiffening
+    assert simulate(stiffening_string, HAND, values, T).finite.all()
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,8 @@ def test_a_string_is_read_if_joints_turn_more_than_reported(arm, camera):
     )
     readings = points.readings
     assert readings["valid"].mean() >= 0.95
-    apart = np.linalg.norm(readings[["tip_x", "tip_y"]] - tip, axis=1)
-    assert np.nanquantile(apart, 0.95) < 3 / camera.px_per_m
+    distance = np.linalg.norm(readings[["tip_x", "tip_y"]] - tip, axis=1)
+    assert np.nanquantile(distance, 0.95) < 3 / camera.px_per_m
 
     true_shift = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=1)
     assert true_shift.max() > 5 / camera.px_per_m

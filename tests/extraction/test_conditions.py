@@ -37,7 +37,7 @@ SETTINGS = yaml.safe_load(
     (ROOT / "conf" / "extract" / "centreline.yaml").read_text()
 ) | {"string_length": 0.3}
 SETTINGS.pop("_target_")
-MUST = {  # severities that must be read, as counted from 1
+REQUIRED_SEVERITIES = {  # severities that must be read, as counted from 1
     "plain": 1,
     "lamp at one side": 2,
     "flicker": 2,
@@ -69,14 +69,19 @@ def scored(cast, condition, severity, **changed):
 
 
 # The others are nearly these, or have a test of their own
-QUICK = MUST.keys() - {"flicker", "hot pixels", "camera shake", "video"}
+TESTED_CONDITIONS = REQUIRED_SEVERITIES.keys() - {
+    "flicker",
+    "hot pixels",
+    "camera shake",
+    "video",
+}
 
 
 @pytest.mark.parametrize(
     "condition",
     [
-        pytest.param(name, marks=[] if name in QUICK else pytest.mark.long)
-        for name in MUST
+        pytest.param(name, marks=[] if name in TESTED_CONDITIONS else pytest.mark.long)
+        for name in REQUIRED_SEVERITIES
     ],
 )
 def test_readable_frames_are_read_correctly(cast, condition):
@@ -85,7 +90,7 @@ def test_readable_frames_are_read_correctly(cast, condition):
     At least 10 of 12 frames are read, none is wrong, and half are within 0.4 px. The
     recorded study, with 24 frames a film, has 0.06 to 0.2 px.
     """
-    frames = scored(cast, condition, MUST[condition])
+    frames = scored(cast, condition, REQUIRED_SEVERITIES[condition])
     assert frames["read"].sum() >= 10
     assert not frames["wrong"].any()
     assert frames["line_px"].median() < 0.4

@@ -101,7 +101,7 @@ def test_fast_casts_are_read(filmed, arm, camera, name, duration):
         "start": (2.2, -0.6, -0.4),
         "speeds": (-4.5 / duration, 3 / duration, 4.5 / duration),
     }
-    near, close, off, total = 0, 0, [], 0
+    accurate_lines, accurate_tips, tip_errors, total = 0, 0, [], 0
     for cast in (upwards, back):
         trial, true = filmed(name, **cast)
         t = trial.frames["t"].to_numpy()
@@ -117,17 +117,17 @@ def test_fast_casts_are_read(filmed, arm, camera, name, duration):
         found = extract(half, camera, string_length=0.3, **SETTINGS)
         across, tips = distances_from_truth(found, trial, true, camera)
         sigma = found.readings["tip_sigma"].to_numpy() * camera.px_per_m
-        off += [tips[i] / sigma[i // 2] for i in tips]
-        near = near + sum(a < 1 for a in across.values())
-        close = close + sum(a < 3 for a in tips.values())
+        tip_errors += [tips[i] / sigma[i // 2] for i in tips]
+        accurate_lines = accurate_lines + sum(a < 1 for a in across.values())
+        accurate_tips = accurate_tips + sum(a < 3 for a in tips.values())
         total += len(half.t)
-    assert near >= 0.98 * total
-    assert close >= 0.98 * total
+    assert accurate_lines >= 0.98 * total
+    assert accurate_tips >= 0.98 * total
     # sigma is of a coordinate, and distances in the plane follow Rayleigh's
     # distribution
-    assert 0.7 < np.median(off) / np.sqrt(2 * np.log(2)) < 1.4
+    assert 0.7 < np.median(tip_errors) / np.sqrt(2 * np.log(2)) < 1.4
     # measured: 0 to 2 %, and 8 % of D, for whose whipping end sigma is too small
-    assert np.mean(np.array(off) > 4) < 0.1
+    assert np.mean(np.array(tip_errors) > 4) < 0.1
 
 
 def test_unreadable_frames_are_refused_with_the_reason(short_swing, arm, camera):
@@ -182,15 +182,19 @@ def test_score_map_equals_repeated_dilation(step):
     """
     mask = rasterise(np.array([[10.0, 12.0], [30.0, 40.0], [55.0, 20.0]]), (64, 80), 2)
     literal = np.zeros(mask.shape, int)
-    grown = mask.copy()
+    dilated = mask.copy()
     for p in range(7, 0, -1):
-        literal[(grown > 0) & (literal == 0)] = p
-        grown = cv2.dilate(grown, np.ones((2 * step + 1, 2 * step + 1), np.uint8))
-    top, left, near = pixel_scores(mask, 7, step)
-    about = np.pad(
-        near, ((top, 64 - top - near.shape[0]), (left, 80 - left - near.shape[1]))
+        literal[(dilated > 0) & (literal == 0)] = p
+        dilated = cv2.dilate(dilated, np.ones((2 * step + 1, 2 * step + 1), np.uint8))
+    top, left, accurate_lines = pixel_scores(mask, 7, step)
+    surroundings = np.pad(
+        accurate_lines,
+        (
+            (top, 64 - top - accurate_lines.shape[0]),
+            (left, 80 - left - accurate_lines.shape[1]),
+        ),
     )
-    np.testing.assert_array_equal(about, literal)
+    np.testing.assert_array_equal(surroundings, literal)
 
 
 @pytest.mark.skipif(not STRIPS.exists(), reason="real footage is not here")

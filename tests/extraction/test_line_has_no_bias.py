@@ -149,9 +149,9 @@ def test_mirrored_pictures_give_mirrored_lines():
     in_rows = [np.ascontiguousarray(image[:, ::-1]) for image in images]
     in_columns = [np.ascontiguousarray(image[::-1]) for image in images]
     for axis, mirrored in enumerate((in_rows, in_columns)):
-        there = starts.copy()
-        there[:, axis] = last - there[:, axis]
-        back = read_lines(mirrored, there)
+        mirrored_starts = starts.copy()
+        mirrored_starts[:, axis] = last - mirrored_starts[:, axis]
+        back = read_lines(mirrored, mirrored_starts)
         back[..., axis] = last - back[..., axis]
         assert np.abs((back - lines).mean(axis=0)).max() < 0.01
         assert np.abs(back - lines).max() < 0.2

@@ -46,5 +46,5 @@ def test_camera_shake_is_detected_behind_a_string():
     views = [list(swinging(wall[:, 4 + at : 324 + at], 6)) for at in range(3)]
     steady, _ = stabilise_film([views[i % 3][i] for i in range(24)])
     # the shift is uncertain where the string hangs still
-    apart = steady.shift[5:21:3] - steady.shift[3:21:3]
-    np.testing.assert_allclose(apart, np.tile([-2.0, 0.0], (6, 1)), atol=0.1)
+    shift_change = steady.shift[5:21:3] - steady.shift[3:21:3]
+    np.testing.assert_allclose(shift_change, np.tile([-2.0, 0.0], (6, 1)), atol=0.1)

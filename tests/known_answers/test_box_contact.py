@@ -84,7 +84,7 @@ def test_the_step_bound_covers_the_stiffness_of_the_contact(inside):
     assert steepest == pytest.approx(declared, rel=0.01)
 
 
-WAYS = {
+PATHS = {
     "top": ((0.31, -0.15, 0.4, -1.5), [1, -1]),
     "bottom": ((0.31, -0.25, 0.4, 1.5), [1, -1]),
     "left": ((0.27, -0.19, 1.5, 0.4), [-1, 1]),
@@ -92,28 +92,28 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("side", WAYS)
+@pytest.mark.parametrize("side", PATHS)
 def test_a_bounce_off_a_side_conserves_energy(side):
     """A bounce off a side returns all of its energy.
 
     The velocity is mirrored, except for the effect of the edge 20 mm away: at 1.5 mm
     depth, the velocity along the side changes by 0.03 m/s.
     """
-    start, mirror = WAYS[side]
+    start, mirror = PATHS[side]
     end = throw_point(start, 0.01, stiffness=1e6)
     assert depth(*end[:2]) == 0
     assert np.hypot(*end[2:]) == pytest.approx(np.hypot(*start[2:]), rel=1e-7)
     np.testing.assert_allclose(end[2:], np.multiply(start[2:], mirror), atol=0.03)
 
 
-@pytest.mark.parametrize("side", WAYS)
+@pytest.mark.parametrize("side", PATHS)
 def test_the_rebound_with_loss_follows_hunt_and_crossley(side):
     """The rebound with loss has the speed of Hunt and Crossley.
 
     The integral of v dv / (1 - a v) over the depth gives logarithms. Along the side
     nothing is lost.
     """
-    start, mirror = WAYS[side]
+    start, mirror = PATHS[side]
     across = int(np.argmin(mirror))
     end = throw_point(start, 0.01, stiffness=1e6, loss=0.3)
     left, right = (
@@ -194,7 +194,7 @@ def test_a_sliding_mass_decelerates_by_the_friction_coefficient():
 # --- a string
 
 LENGTH = 0.3
-LIMP = {
+LIMP_VALUES = {
     "axial_stiffness": 2e4,
     "bending_stiffness": 1.0,
     "grasp_stiffness": 1e-12,
@@ -229,7 +229,7 @@ def swing_string(boxes, t, **how):
     )
     return (
         Model(string, None, None)
-        .simulate_string(hand, string.values(LIMP | sizes)[None], t)
+        .simulate_string(hand, string.values(LIMP_VALUES | sizes)[None], t)
         .points[0]
     )
 
@@ -239,7 +239,7 @@ def energy_with_contact(points, t, boxes, stiffness):
 
     It is kinetic, potential, elastic, and that of the contact.
     """
-    energy = mechanical_energy(points, t, LENGTH / 9, LIMP)
+    energy = mechanical_energy(points, t, LENGTH / 9, LIMP_VALUES)
     return energy + sum(
         0.5 * stiffness * (depth(*points[:, 1:].T, box) ** 2).sum(axis=0)
         for box in boxes

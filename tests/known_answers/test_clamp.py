@@ -94,11 +94,11 @@ def test_a_hidden_length_is_a_longer_string_held_further_up(hidden):
         longer, hand(along - hidden, across), values(longer)[None], T
     ).points[0]
     np.testing.assert_allclose(found[:, -1], real[:, -1], atol=1e-6)
-    there = string.arc_lengths() + hidden >= 0
+    is_free = string.arc_lengths() + hidden >= 0
     expected = CubicSpline(longer.arc_lengths(), real, axis=1)(
-        string.arc_lengths()[there] + hidden
+        string.arc_lengths()[is_free] + hidden
     )
-    np.testing.assert_allclose(found[:, there], expected, atol=2e-5)
+    np.testing.assert_allclose(found[:, is_free], expected, atol=2e-5)
     plain = simulate(free(LENGTH), hand(), values(free(LENGTH))[None], T).tip[0]
     assert np.abs(plain - found[:, -1]).max() > 5e-3
 
@@ -110,12 +110,12 @@ def test_a_straight_string_passes_through_the_stated_grasp():
     part, but for the stretch.
     """
     string = clamped()
-    still = HandMotion(
+    resting_hand = HandMotion(
         0.0, T[1], np.tile([0.1, 0.2, -np.pi / 2], (1, 60, 1)), np.zeros((1, 60, 3))
     )
     for hidden in (0.01, -0.01):
         found = simulate(
-            string, still, values(string, **{"clamp.hidden": hidden})[None], T
+            string, resting_hand, values(string, **{"clamp.hidden": hidden})[None], T
         ).points[0, 0]
         np.testing.assert_allclose(
             found, [[0.1, 0.2 - s] for s in string.arc_lengths()], atol=1e-4
@@ -128,13 +128,15 @@ def test_a_clamp_does_not_change_other_candidates():
     Candidates that are simulated together begin at different places.
     """
     string = clamped()
-    some = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]
-    together = simulate(
-        string, hand(), np.stack([values(string, **each) for each in some]), T
+    candidates = [{}, {"clamp.hidden": 0.01}, {"clamp.across": 0.002}]
+    joint_points = simulate(
+        string, hand(), np.stack([values(string, **each) for each in candidates]), T
     ).points
-    for number, each in enumerate(some):
-        alone = simulate(string, hand(), values(string, **each)[None], T).points[0]
-        np.testing.assert_array_equal(together[number], alone)
+    for number, each in enumerate(candidates):
+        single_points = simulate(
+            string, hand(), values(string, **each)[None], T
+        ).points[0]
+        np.testing.assert_array_equal(joint_points[number], single_points)
 
 
 def test_properties_along_the_string_count_from_its_beginning():

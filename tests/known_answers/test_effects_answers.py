@@ -34,13 +34,13 @@ from tests.known_answers.swinging import frequency, mechanical_energy
 
 LENGTH = 0.3
 # all of the library, whose loop ../laws/test_effects.py needs, too
-MANY = tuple(
+MANY_EFFECTS = tuple(
     e
     for e in effects_by_name().values()
     if e not in PAPER_EFFECTS and e.parameters and issubclass(e, StringEffect)
 )
 SECOND_ORDER = {"tip_cell": 0.5, "grasp_cell": 0.5}
-LIMP = {
+LIMP_VALUES = {
     "axial_stiffness": 9e5,
     "axial_damping": 100.0,
     **dict.fromkeys(
@@ -48,8 +48,8 @@ LIMP = {
     ),
     **dict.fromkeys(["grasp_stiffness", "grasp_damping"], 1e-12),
 }
-ROD = LIMP | {"bending_stiffness": 4e3, "bending_damping": 0.05}
-CLAMPED = LIMP | {
+ROD = LIMP_VALUES | {"bending_stiffness": 4e3, "bending_damping": 0.05}
+CLAMPED = LIMP_VALUES | {
     "bending_stiffness": 4e4,
     "grasp_stiffness": 1e9,
     "axial_stiffness": 1e9,
@@ -63,7 +63,7 @@ def at_rest(named, theta=-np.pi / 2, points=41, **settings):
     string = String(
         LENGTH,
         points=points,
-        effects=(*PAPER_EFFECTS, *MANY),
+        effects=(*PAPER_EFFECTS, *MANY_EFFECTS),
         **SECOND_ORDER | settings,
     )
     material = string.material(string.values(named)[None])
@@ -76,7 +76,7 @@ def swinging(named, offset, t, points=41, theta=-np.pi / 2):
 
     The set-up compiles the loop of implicit steps with all effects but boxes.
     """
-    effects = [effect for effect in MANY if effect is not BoxContact]
+    effects = [effect for effect in MANY_EFFECTS if effect is not BoxContact]
     string = String(
         LENGTH,
         points=points,
@@ -128,8 +128,8 @@ def test_a_tapered_chain_swings_at_its_own_frequency(taper):
     t = np.arange(0, 6, 0.005)
     drive = 1e-4 * np.sin(expected * t) * (t < 2 * np.pi / expected * 3)
     free = t > 2 * np.pi / expected * 3 + 0.1
-    x = swinging(LIMP | {"density_taper.taper": taper}, drive, t)[free, -1, 0]
-    plain = swinging(LIMP, drive, t)[free, -1, 0]
+    x = swinging(LIMP_VALUES | {"density_taper.taper": taper}, drive, t)[free, -1, 0]
+    plain = swinging(LIMP_VALUES, drive, t)[free, -1, 0]
     assert frequency(t[free], x - x.mean()) == pytest.approx(expected, rel=0.01)
     # a string without taper has another frequency
     assert abs(frequency(t[free], plain - plain.mean()) / expected - 1) > 0.03
@@ -142,7 +142,7 @@ def test_wind_holds_a_limp_string_at_an_angle():
     """
     wind, c1, c2 = 1.7, 2.0, 0.5
     angles, _ = at_rest(
-        LIMP | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind}
+        LIMP_VALUES | {"linear_drag": c1, "quadratic_drag": c2, "wind.along_x": wind}
     )
     np.testing.assert_allclose(
         np.tan(angles + np.pi / 2), (c1 + c2 * wind) * wind / 9.81, rtol=1e-6
@@ -154,7 +154,7 @@ def test_wind_acts_more_across_a_string_than_along_it():
 
     Only the drag across holds it: the tangent of the angle is (1 + e) C_c1 w / g.
     """
-    named = LIMP | {
+    named = LIMP_VALUES | {
         "linear_drag": 2.0,
         "wind.along_x": 1.7,
         "anisotropic_drag.excess": 0.8,
@@ -205,7 +205,7 @@ def test_a_string_that_stiffens_hangs_as_the_elastica_with_its_law(hardening):
         slopes, lambda a, b: np.array([a[0], b[1]]), s, guess, tol=1e-8, max_nodes=20000
     )
     assert exact.success
-    named = LIMP | {
+    named = LIMP_VALUES | {
         "bending_stiffness": 30.0,
         "grasp_stiffness": 1e9,
         "axial_stiffness": 1e9,
@@ -310,8 +310,8 @@ def test_tilted_gravity_equals_a_rotated_experiment():
     tilt = 0.25
     rotation = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     turned = np.concatenate([pose[:, :2] @ rotation.T, pose[:, 2:] + tilt], axis=1)
-    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY))
-    named = LIMP | {
+    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY_EFFECTS))
+    named = LIMP_VALUES | {
         "bending_stiffness": 4.0,
         "bending_damping": 5e-3,
         "grasp_stiffness": 3.0,
@@ -342,7 +342,7 @@ def test_a_floor_carries_the_part_that_lies_on_it():
     the hand, L - 0.2 to a few per cent.
     """
     angles, lengths = at_rest(
-        LIMP | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01},
+        LIMP_VALUES | FLOOR | {"bending_stiffness": 0.05, "grasp_stiffness": 0.01},
         -1.2,
         points=61,
     )
@@ -361,7 +361,7 @@ def test_a_string_at_rest_on_the_floor_stays_at_rest():
     """
     t = np.linspace(0, 0.3, 61)
     named = (
-        LIMP
+        LIMP_VALUES
         | FLOOR
         | {
             "bending_stiffness": 1.0,
@@ -441,8 +441,8 @@ def test_a_string_dropped_on_a_floor_gains_no_energy():
     and floor together never rise again.
     """
     t = np.arange(0, 1.0, 0.001)
-    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY), points=10)
-    named = LIMP | {
+    string = String(LENGTH, effects=(*PAPER_EFFECTS, *MANY_EFFECTS), points=10)
+    named = LIMP_VALUES | {
         "axial_stiffness": 2e4,
         "axial_damping": 5.0,
         "bending_stiffness": 1.0,
@@ -633,7 +633,7 @@ def views(*names):
     model = Model(String(LENGTH), None, VIEW).with_effects(
         *(effects_by_name()[name] for name in names)
     )
-    known = LIMP | {
+    known = LIMP_VALUES | {
         "bending_stiffness": 4.0,
         "bending_damping": 5e-3,
         "grasp_stiffness": 3.0,
@@ -643,13 +643,13 @@ def views(*names):
 
 
 @pytest.mark.parametrize(
-    ("name", "size", "there"),
+    ("name", "size", "arm_clock"),
     [
         ("time_offset.offset", 0.0123, lambda t: t + 0.0123),
         ("clock_drift.rate", -0.02, lambda t: 0.98 * t),
     ],
 )
-def test_clock_effects_shift_the_times_of_the_string(name, size, there):
+def test_clock_effects_shift_the_times_of_the_string(name, size, arm_clock):
     """Other clocks show the string at other moments.
 
     Each candidate has its own times and does not depend on others.
@@ -663,7 +663,7 @@ def test_clock_effects_shift_the_times_of_the_string(name, size, there):
     )
     np.testing.assert_allclose(
         seen[1],
-        model.simulate_string(motion, values[:1], there(t)).points[0],
+        model.simulate_string(motion, values[:1], arm_clock(t)).points[0],
         atol=1e-12,
     )
     np.testing.assert_array_equal(
@@ -671,13 +671,13 @@ def test_clock_effects_shift_the_times_of_the_string(name, size, there):
     )
 
 
-REAL = {
+ACTUAL_CAMERAS = {
     "lens_distortion.radial": replace(VIEW, distortion=0.08),
     "pixel_scale.excess": replace(VIEW, px_per_m=VIEW.px_per_m * 1.08),
 }
 
 
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("name", ACTUAL_CAMERAS)
 def test_camera_effects_transform_points_as_defined(name):
     """Cameras that differ from their description are modelled.
 
@@ -687,7 +687,7 @@ def test_camera_effects_transform_points_as_defined(name):
     t = np.linspace(0, 0.9, 7)
     values = model.values(known | {name: 0.08})[None]
     expected = VIEW.world(
-        REAL[name].pixels(model.simulate_string(motion, values, t).points)
+        ACTUAL_CAMERAS[name].pixels(model.simulate_string(motion, values, t).points)
     )
     np.testing.assert_allclose(
         model.simulate_observation(motion, values, t).points, expected, atol=1e-12
@@ -736,8 +736,10 @@ def test_a_rolling_shutter_shears_a_line_that_moves_sideways():
         readout,
         stamped,
     )
-    when = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.25)
-    np.testing.assert_allclose(falling, line + when * np.array([1.0, -4.0]), atol=1e-12)
+    exposure_times = 0.01 * (VIEW.pixels(falling)[..., 1:] / 480 - 0.25)
+    np.testing.assert_allclose(
+        falling, line + exposure_times * np.array([1.0, -4.0]), atol=1e-12
+    )
 
 
 def test_the_rolling_shutter_uses_the_velocity_of_the_string():
@@ -752,10 +754,12 @@ def test_the_rolling_shutter_uses_the_velocity_of_the_string():
     for readout in (0.002, 0.001):
         values = model.values(known | {"rolling_shutter.readout": readout})[None]
         seen = model.simulate_observation(motion, values, t).points[0]
-        when = t[:, None] + readout * (VIEW.pixels(seen)[..., 1] / 480 - 0.5)
+        exposure_times = t[:, None] + readout * (VIEW.pixels(seen)[..., 1] / 480 - 0.5)
         exact = np.stack(
             [
-                model.simulate_string(motion, values, when[:, i]).points[0, :, i]
+                model.simulate_string(motion, values, exposure_times[:, i]).points[
+                    0, :, i
+                ]
                 for i in range(10)
             ],
             axis=1,
@@ -809,7 +813,7 @@ def test_the_last_of_equal_points_has_half_a_segment_too_much():
     """
     equal, known, motion = views()
     half = replace(equal, string=replace(equal.string, tip_cell=0.5)).with_effects(
-        *MANY
+        *MANY_EFFECTS
     )
     t, excess = np.linspace(0, 0.9, 31), 0.5 / (equal.string.points - 1)
     tip = equal.simulate_string(motion, equal.values(known)[None], t).tip

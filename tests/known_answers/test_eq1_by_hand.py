@@ -16,7 +16,7 @@ B = {
     "bending_stiffness": 20.0,
     "bending_damping": 1e-2,
 }
-SOFT = {
+SOFT_VALUES = {
     "axial_stiffness": 2e4,
     "axial_damping": 5.0,
     "bending_stiffness": 0.3,
@@ -28,7 +28,7 @@ AIR = {
     "grasp_stiffness": 2.0,
     "grasp_damping": 5e-3,
 }
-WIDE = (
+WIDE_RANGES = (
     np.array([p.high for p in STRING.parameters]) ** 0.5
     * np.array([p.low for p in STRING.parameters]) ** 0.5
 )
@@ -44,7 +44,7 @@ def simulated(values):
 
 @pytest.mark.parametrize(
     "values",
-    [STRING.values(B | AIR), STRING.values(SOFT | AIR), WIDE],
+    [STRING.values(B | AIR), STRING.values(SOFT_VALUES | AIR), WIDE_RANGES],
     ids=["B", "soft", "wide"],
 )
 def test_the_engine_equals_equation_1_to_rounding(values):

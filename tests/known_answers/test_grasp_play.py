@@ -25,10 +25,10 @@ ROD = {
     "linear_drag": 0.0,
     "quadratic_drag": 0.0,
 }
-HELD = implicit_string(8, 5e-4, LENGTH, effects=(*PAPER_EFFECTS, GraspPlay))
+HELD_ROD = implicit_string(8, 5e-4, LENGTH, effects=(*PAPER_EFFECTS, GraspPlay))
 
 
-def still(theta):
+def resting_hand(theta):
     """Return a hand that rests in this direction for 3 s, and its times."""
     t = np.arange(0, 3.0, 0.005)
     return resample_hand_motion(t, np.stack([0 * t, 0 * t, 0 * t + theta], axis=-1)), t
@@ -39,8 +39,12 @@ def test_a_rod_at_rest_hangs_without_friction():
 
     This holds for any direction of the jaws, and the rod stays there.
     """
-    values = HELD.values(ROD | {"grasp_play.cap": 0.2, "grasp_play.slip": 0.02})[None]
-    tip = simulate(HELD, still(-1.0)[0], values, np.linspace(0, 1, 20)).tip[0]
+    values = HELD_ROD.values(ROD | {"grasp_play.cap": 0.2, "grasp_play.slip": 0.02})[
+        None
+    ]
+    tip = simulate(HELD_ROD, resting_hand(-1.0)[0], values, np.linspace(0, 1, 20)).tip[
+        0
+    ]
     np.testing.assert_allclose(tip, np.tile([0.0, -LENGTH], (20, 1)), atol=1e-4)
 
 
@@ -51,12 +55,14 @@ def test_dry_friction_reduces_each_swing_by_the_same_amount():
     nearly a straight line.
     """
     cap, slip, start = 0.02 * WEIGHT, 1e-3, 0.35
-    hand, t = still(-np.pi / 2)
-    begun = StringState(
+    hand, t = resting_hand(-np.pi / 2)
+    initial = StringState(
         0.0, np.array([0.0, LENGTH]), np.full(2, start - np.pi / 2), np.zeros(2)
     )
-    values = HELD.values(ROD | {"grasp_play.cap": cap, "grasp_play.slip": slip})[None]
-    tip = simulate(HELD, hand, values, t, begun).tip[0]
+    values = HELD_ROD.values(ROD | {"grasp_play.cap": cap, "grasp_play.slip": slip})[
+        None
+    ]
+    tip = simulate(HELD_ROD, hand, values, t, initial).tip[0]
     angle = np.abs(np.arctan2(tip[:, 0], -tip[:, 1]))
     ends = angle[1:-1][(angle[1:-1] >= angle[:-2]) & (angle[1:-1] > angle[2:])]
     expected = [start]

@@ -128,7 +128,7 @@ WALL = {"contact.height": -0.02, "contact.tilt": 1.2}
 SLOPE = {"contact.height": -0.1, "contact.tilt": 0.3}
 
 
-def against(plane: dict, hardness: float, bending: float = 4.0) -> dict:
+def values_against_plane(plane: dict, hardness: float, bending: float = 4.0) -> dict:
     """Return the values of a string that leaves to the right.
 
     A plane is in its way.
@@ -165,7 +165,7 @@ def test_a_string_that_leans_on_a_plane_stays_at_rest(points, plane, hardness):
     moved = simulate(
         string,
         resample_hand_motion(t, pose),
-        string.values(against(plane, hardness))[None],
+        string.values(values_against_plane(plane, hardness))[None],
         t,
     )
     assert np.abs(moved.points[0] - moved.points[0, :1]).max() < 1e-9
@@ -178,24 +178,30 @@ def test_hand_and_floor_carry_the_weight_together():
     presses with its weight, and hardly sinks in.
     """
     string = String(0.3, points=61, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
-    named = against(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)
+    named = values_against_plane(FLOOR | {"contact.height": -0.2}, 1e7, bending=0.05)
     angles, lengths = at_rest(string, named, -np.pi / 2 + 0.1)
     y = np.cumsum(lengths * np.sin(angles))
     assert y.min() == pytest.approx(-0.2, abs=1e-5)
-    lying = y < -0.2 + 1e-6
-    assert np.abs(np.sin(angles[lying][2:])).max() < 1e-3
-    assert (-0.2 - y[lying])[5:-1] == pytest.approx(9.81 / 1e7, rel=0.05)
+    is_on_floor = y < -0.2 + 1e-6
+    assert np.abs(np.sin(angles[is_on_floor][2:])).max() < 1e-3
+    assert (-0.2 - y[is_on_floor])[5:-1] == pytest.approx(9.81 / 1e7, rel=0.05)
 
 
 def test_contact_of_one_candidate_does_not_depend_on_others():
     string = String(0.3, points=25, effects=(*PAPER_EFFECTS, Contact), **SECOND_ORDER)
     values = np.stack(
-        [string.values(against(p, h)) for p in (FLOOR, WALL, SLOPE) for h in (1e5, 8e6)]
+        [
+            string.values(values_against_plane(p, h))
+            for p in (FLOOR, WALL, SLOPE)
+            for h in (1e5, 8e6)
+        ]
     )
     pose = np.array([[0.0, 0.0, 0.3]])
-    together = hanging_shape(string, string.material(values), pose)
-    alone = [hanging_shape(string, string.material(row[None]), pose) for row in values]
+    joint_shapes = hanging_shape(string, string.material(values), pose)
+    single_shapes = [
+        hanging_shape(string, string.material(row[None]), pose) for row in values
+    ]
     for side in (0, 1):
         np.testing.assert_array_equal(
-            together[side], np.concatenate([one[side] for one in alone])
+            joint_shapes[side], np.concatenate([one[side] for one in single_shapes])
         )

@@ -58,7 +58,7 @@ NAMES = [
 ]
 ADDED = [e for e in LIBRARY.values() if e not in PAPER_EFFECTS and e.parameters]
 PAPER = {p.name: p for e in PAPER_EFFECTS for p in e.parameters}
-NAMED = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
+BASE_VALUES = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
 # Values with which an effect acts: a slip during the motion, a floor below the resting
 # string, a wall, and a corner of a box in the way of the string.
 FLOOR = {
@@ -67,24 +67,26 @@ FLOOR = {
     "contact.friction": 0.2,
     "contact.loss": 0.1,
 }
-ACTING = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
-ACTING |= {
+ACTING_VALUES = {"grasp_slip.onset": {"grasp_slip.speed": 0.05}}
+ACTING_VALUES |= {
     "grasp_slip.duration": {
         "grasp_slip.speed": 0.05,
         "grasp_slip.onset": 0.1,
         "grasp_slip.duration": 0.2,
     }
 }
-ACTING |= {
+ACTING_VALUES |= {
     "rolling_shutter.stamped": {
         "rolling_shutter.readout": 5e-3,
         "rolling_shutter.stamped": 0.5,
     }
 }
-ACTING |= {
+ACTING_VALUES |= {
     f"contact.{name}": FLOOR for name in ("stiffness", "height", "tilt", "friction")
 }
-ACTING |= {"contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}}
+ACTING_VALUES |= {
+    "contact.loss": FLOOR | {"contact.tilt": np.pi / 2, "contact.height": -0.75}
+}
 CORNER = {
     "box_contact.centre_x": 0.0,
     "box_contact.centre_y": 0.85,
@@ -94,12 +96,12 @@ CORNER = {
     "box_contact.friction": 0.2,
     "box_contact.loss": 0.1,
 }
-ACTING |= dict.fromkeys(CORNER, CORNER)
-ACTING |= {
+ACTING_VALUES |= dict.fromkeys(CORNER, CORNER)
+ACTING_VALUES |= {
     f"{name}.slip": {f"{name}.cap": 2e-3} for name in ("maxwell_slip", "dahl_friction")
 }
-ACTING |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
-ACTING |= {
+ACTING_VALUES |= {"grasp_play.slip": {"grasp_play.cap": 0.02}}
+ACTING_VALUES |= {
     "standard_linear_solid.relaxation": {"standard_linear_solid.stiffness": 1e-3}
 }
 LAWS = [(effect, law) for effect in LIBRARY.values() for law in effect.laws()]
@@ -219,7 +221,7 @@ CONSTANTS = {
     "gravity_direction": "m/s2",
     "grasp_slip": "s",
 }
-ELSEWHERE = {
+OTHER_UNITS = {
     "joints": "rad",
     "times": "s",
     "observe": "m",
@@ -265,10 +267,10 @@ def scales(effect) -> list[tuple[float, float]]:
 def test_laws_do_not_depend_on_the_system_of_units(effect, law):
     known = samples(effect, 1)
     slot = SLOTS.get(law)
-    units = ELSEWHERE | (
+    units = OTHER_UNITS | (
         dict(slot.arguments) | {"value": slot.unit}
         if slot
-        else {"value": ELSEWHERE.get(law, "")}
+        else {"value": OTHER_UNITS.get(law, "")}
     )
     powers = {name: exponents(unit) for name, unit in units.items() if unit}
     powers |= {
@@ -304,7 +306,7 @@ def test_laws_do_not_depend_on_the_system_of_units(effect, law):
 
 
 @pytest.fixture(scope="module")
-def swings(arm, camera):
+def swing_motions(arm, camera):
     """Simulate a swing by the plain model and by one with every effect.
 
     All effects have their start values.
@@ -317,27 +319,29 @@ def swings(arm, camera):
     return plain, plain.with_effects(*ADDED), moved, np.linspace(-0.05, 0.6, 66)
 
 
-def test_an_absent_effect_equals_a_present_one_at_its_start(swings):
-    plain, full, motion, t = swings
-    expected = plain.simulate_observation(motion, plain.values(NAMED)[None], t).points
-    found = full.simulate_observation(motion, full.values(NAMED)[None], t).points
+def test_an_absent_effect_equals_a_present_one_at_its_start(swing_motions):
+    plain, full, motion, t = swing_motions
+    expected = plain.simulate_observation(
+        motion, plain.values(BASE_VALUES)[None], t
+    ).points
+    found = full.simulate_observation(motion, full.values(BASE_VALUES)[None], t).points
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(
     "parameter", [e.qualified_name(p) for e in ADDED for p in e.parameters]
 )
-def test_every_parameter_moves_the_string_smoothly(swings, parameter):
+def test_every_parameter_moves_the_string_smoothly(swing_motions, parameter):
     """Every parameter moves the string smoothly.
 
     Central differences in exponents agree with those of half the step. The step is a
     tenth of the range; differences are not zero.
     """
-    _, full, motion, t = swings
+    _, full, motion, t = swing_motions
     place = full.names.index(parameter)
     known = full.parameters[place]
-    acting = ACTING.get(parameter, {})
-    base = full.values(NAMED | acting)
+    acting = ACTING_VALUES.get(parameter, {})
+    base = full.values(BASE_VALUES | acting)
     chi = known.chi(base[place])
     chi += 0.0 if parameter in acting else 0.1 * (1 - known.chi(known.start))
     step = 1e-4
@@ -352,16 +356,16 @@ def test_every_parameter_moves_the_string_smoothly(swings, parameter):
     assert share < 0.02
 
 
-def test_strings_with_all_effects_stay_finite(swings):
+def test_strings_with_all_effects_stay_finite(swing_motions):
     """Strings with every effect at once stay finite.
 
     Parameters are anywhere in all ranges, on a floor and a box below the hand. The
     step's bound covers every active force.
     """
-    _, full, motion, t = swings
+    _, full, motion, t = swing_motions
     rng = np.random.default_rng(0)
     values = np.array([draw_values(p, rng, 32) for p in full.parameters]).T
-    values[:, :8] = full.values(NAMED)[:8]
+    values[:, :8] = full.values(BASE_VALUES)[:8]
     values[:, full.names.index("contact.height")] = rng.uniform(-0.5, -0.1, 32)
     values[:, full.names.index("contact.tilt")] = rng.uniform(-0.3, 0.3, 32)
     values[:, full.names.index("box_contact.centre_x")] = rng.uniform(0.5, 0.9, 32)
@@ -369,15 +373,15 @@ def test_strings_with_all_effects_stay_finite(swings):
     assert full.simulate_observation(motion, values, t).finite.all()
 
 
-def test_the_step_bound_does_not_depend_on_the_origin(swings):
+def test_the_step_bound_does_not_depend_on_the_origin(swing_motions):
     """The bound of the step does not depend on the origin.
 
     The origin may lie behind a plane that absorbs impacts, or inside a box.
     """
-    _, full, _, _ = swings
+    _, full, _, _ = swing_motions
     behind = {"contact.height": 0.4, "box_contact.centre_x": 0.0}
     before = {"contact.height": -0.4}
-    some = {
+    contact_values = {
         "contact.stiffness": 4e6,
         "contact.loss": 0.03,
         "box_contact.stiffness": 5e4,
@@ -385,7 +389,10 @@ def test_the_step_bound_does_not_depend_on_the_origin(swings):
     }
     material = full.string.material(
         np.stack(
-            [full.string.values(NAMED | some | place) for place in (behind, before)]
+            [
+                full.string.values(BASE_VALUES | contact_values | place)
+                for place in (behind, before)
+            ]
         )
     )
     steps, possible = steps_per_tick(
@@ -461,18 +468,18 @@ def test_arguments_of_laws_are_known():
             assert set(law_arguments(effect.laws()[law])) <= known, effect.name
 
 
-def test_effects_act_in_physical_order_independent_of_naming_order(swings):
+def test_effects_act_in_physical_order_independent_of_naming_order(swing_motions):
     """Effects act in their physical order, whatever is named first.
 
     Play acts after the motor's gain. If the motor turns 10 % too far, the joint lags by
     half its gap, not by 0.55 of it.
     """
-    plain, _, motion, _ = swings
+    plain, _, motion, _ = swing_motions
     gain, play = LIBRARY["joint_gain"], LIBRARY["backlash"]
     ends = []
     for named in ((gain, play), (play, gain)):
         model = plain.with_effects(*named)
-        known = NAMED | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
+        known = BASE_VALUES | {"joint_gain.gain": 0.1, "backlash.gap_1": 0.1}
         ends.append(
             model.joint_motion(motion, model.values(known)[None]).angles[0, -1, 0]
         )

@@ -45,8 +45,8 @@ def test_all_effects_of_the_library_need_three_loops():
 
     def compiled_loops(combinations_of_effects):
         sources = set()
-        for some in combinations_of_effects:
-            effects = (*PAPER_EFFECTS, *some)
+        for effects_in_use in combinations_of_effects:
+            effects = (*PAPER_EFFECTS, *effects_in_use)
             string = String(0.3, effects=effects, integrator=integrator)
             material = string.material(string.start_values()[None])
             looped, _ = string.with_compiled_effects(material)
@@ -98,9 +98,9 @@ def test_absent_jointly_compiled_effects_change_nothing(monkeypatch):
     no_slip = {"maxwell_slip.cap": 0.0}
     assert_equal(cheap, points(*JOINTLY_COMPILED_EFFECTS[:4], MaxwellSlip, **no_slip))
 
-    some = (*JOINTLY_COMPILED_EFFECTS[4:], MaxwellSlip)
-    together = points(*some)
+    effects_in_use = (*JOINTLY_COMPILED_EFFECTS[4:], MaxwellSlip)
+    joint_points = points(*effects_in_use)
     monkeypatch.setattr(
         String, "with_compiled_effects", lambda self, material: (self, material)
     )
-    assert_equal(together, points(*some))
+    assert_equal(joint_points, points(*effects_in_use))

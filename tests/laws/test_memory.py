@@ -21,19 +21,19 @@ from stringcast.stages.model.state import StringState
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 
 CAP, SLIP = 0.05, 0.04  # [m3/s2] and [1/m] of a cable
-KNOWN = {
+PARAMETER_VALUES = {
     "maxwell_slip": {"cap": CAP, "slip": SLIP},
     "dahl_friction": {"cap": CAP, "slip": SLIP},
     "standard_linear_solid": {"stiffness": CAP / SLIP, "relaxation": 0.1},
     "grasp_play": {"cap": CAP, "slip": SLIP},
 }
 STATES = {state: moment for state, moment, _ in MEMORY_SLOTS.values()}
-HOLDING = [
+MEMORY_LAWS = [
     e
     for e in effects_by_name().values()
     if issubclass(e, StringEffect) and STATES.keys() & e.laws().keys()
 ]
-FINE = np.concatenate(
+FINE_PATH = np.concatenate(
     [
         np.linspace(0, 1, 2001),
         np.linspace(1, -1, 4001)[1:],
@@ -42,25 +42,28 @@ FINE = np.concatenate(
 )
 
 
-def moments(name, path, lapse=1e-3, **values):
+def moments(name, path, duration=1e-3, **values):
     """Return the moments along a path of curvatures or angles.
 
-    It begins straight; each step takes the time `lapse`.
+    It begins straight; each step takes the time `duration`.
     """
     laws, held, found = effects_by_name()[name].laws(), 0.0, []
     state, moment = next(
         (state, moment) for state, moment in STATES.items() if state in laws
     )
-    own = {**KNOWN[name], **values}
-    own |= effects_by_name()[name].derive_parameters(**own)
+    parameters = {**PARAMETER_VALUES[name], **values}
+    parameters |= effects_by_name()[name].derive_parameters(**parameters)
     for change in np.diff(path, prepend=0.0):
         held = laws[state](
             **select_arguments(
-                laws[state], {"memory": held, "change": change, "dt": lapse, **own}
+                laws[state],
+                {"memory": held, "change": change, "dt": duration, **parameters},
             )
         )
         found.append(
-            laws[moment](**select_arguments(laws[moment], {"memory": held, **own}))
+            laws[moment](
+                **select_arguments(laws[moment], {"memory": held, **parameters})
+            )
         )
     return np.array(found)
 
@@ -74,10 +77,10 @@ def work(path, moment):
 
 
 def test_every_law_with_memory_is_tested_here():
-    assert {e.name for e in HOLDING} == set(KNOWN)
+    assert {e.name for e in MEMORY_LAWS} == set(PARAMETER_VALUES)
 
 
-@pytest.mark.parametrize("name", KNOWN)
+@pytest.mark.parametrize("name", PARAMETER_VALUES)
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_no_path_extracts_energy_from_a_hinge(name, seed):
@@ -87,17 +90,17 @@ def test_no_path_extracts_energy_from_a_hinge(name, seed):
     """
     rng = np.random.default_rng(seed)
     path = np.cumsum(SLIP * rng.normal(size=300) * rng.choice([0.02, 0.3, 2.0]))
-    done = work(path, moments(name, path))
-    assert done.min() >= -1e-12 * np.abs(done).max()
+    work_done = work(path, moments(name, path))
+    assert work_done.min() >= -1e-12 * np.abs(work_done).max()
 
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "grasp_play"])
 @pytest.mark.parametrize("wide", [2.0, 5.0])
 def test_a_slip_loop_has_the_area_of_its_parallelogram(wide, name):
-    path = wide * SLIP * FINE
-    done = work(path, moments(name, path))
-    there = len(FINE) - 8000  # the virgin curve is not part of the loop
-    assert done[-1] - done[there - 1] == pytest.approx(
+    path = wide * SLIP * FINE_PATH
+    work_done = work(path, moments(name, path))
+    loop_start = len(FINE_PATH) - 8000  # the virgin curve is not part of the loop
+    assert work_done[-1] - work_done[loop_start - 1] == pytest.approx(
         4 * CAP * (wide - 1) * SLIP, rel=2e-3
     )
 
@@ -114,7 +117,7 @@ def test_a_reversed_slip_follows_masings_rule():
 
 
 def test_a_path_within_the_slip_dissipates_nothing():
-    path = 0.9 * SLIP * FINE
+    path = 0.9 * SLIP * FINE_PATH
     np.testing.assert_allclose(
         moments("maxwell_slip", path), CAP / SLIP * path, atol=1e-12
     )
@@ -168,7 +171,7 @@ def tip(model, motion, values, integrator, step):
     ).points[0, :, -1]
 
 
-MILD = {
+MILD_VALUES = {
     "maxwell_slip": {"cap": 6e-3, "slip": 5.0},
     "dahl_friction": {"cap": 6e-3, "slip": 5.0},
     "standard_linear_solid": {"stiffness": 2e-3, "relaxation": 0.05},
@@ -177,14 +180,14 @@ MILD = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", MILD)
+@pytest.mark.parametrize("name", MILD_VALUES)
 def test_all_integrators_give_the_same_motion(name, arm, motion):
     """A string moves the same with any integrator, and at a twentieth of the step.
 
     Its memory moves its tip by more than 5 mm.
     """
     model = ordinary(arm).with_effects(effects_by_name()[name])
-    values = {f"{name}.{key}": value for key, value in MILD[name].items()}
+    values = {f"{name}.{key}": value for key, value in MILD_VALUES[name].items()}
     exact = tip(model, motion, values, RungeKutta4(), 5e-5)
     for integrator, step, close in (
         (SemiImplicitEuler(), 1e-5, 1e-4),
@@ -213,22 +216,23 @@ def test_a_string_at_rest_has_no_memory(arm):
     released there.
     """
     model = with_maxwell_slip(arm)
-    still = resample_joint_motion(
+    resting_motion = resample_joint_motion(
         np.arange(0, 0.3, 0.005), np.tile([0.4, 0.2, 0.1], (60, 1))
     )
     values = {"maxwell_slip.cap": 5e-3, "maxwell_slip.slip": 0.5}
     held, free = (
-        tip(model, still, own, ImplicitLeapfrog(), 1e-4) for own in (values, {})
+        tip(model, resting_motion, parameters, ImplicitLeapfrog(), 1e-4)
+        for parameters in (values, {})
     )
     np.testing.assert_allclose(held, np.tile(free[0], (80, 1)), atol=1e-9)
-    hand, times = still.hand_motion(arm), still.tick * np.arange(60)
+    hand, times = resting_motion.hand_motion(arm), resting_motion.tick * np.arange(60)
     given = model.string.material(model.values(TRUTH | values)[None])
     angles, _ = hanging_shape(model.string, given, hand.pose[:, 0])
-    let_go = StringState(
+    initial = StringState(
         0.0, model.string.segment_middles(), angles[0], np.zeros_like(angles[0])
     )
     points = simulate(
-        model.string, hand, model.values(TRUTH | values)[None], times, let_go
+        model.string, hand, model.values(TRUTH | values)[None], times, initial
     ).points
     np.testing.assert_allclose(points[0, :, -1], np.tile(free[0], (60, 1)), atol=1e-6)
 
@@ -249,13 +253,13 @@ def test_displacement_within_the_slip_only_stiffens_a_string(arm):
         -np.pi / 2 + 0.5 * string.segment_middles(),
         np.zeros(string.points - 1),
     )
-    bent = TRUTH | {"bending_stiffness": 30 * TRUTH["bending_stiffness"]}
-    stiffness = string.material(string.values(bent))[
+    stiff = TRUTH | {"bending_stiffness": 30 * TRUTH["bending_stiffness"]}
+    stiffness = string.material(string.values(stiff))[
         string.names.index("bending_stiffness")
     ]
-    sticks = bent | {"maxwell_slip.cap": 4.0 * stiffness, "maxwell_slip.slip": 4.0}
-    stiffer = bent | {"bending_stiffness": 2 * bent["bending_stiffness"]}
-    values = np.stack([string.values(each) for each in (sticks, stiffer, bent)])
+    sticks = stiff | {"maxwell_slip.cap": 4.0 * stiffness, "maxwell_slip.slip": 4.0}
+    stiffer = stiff | {"bending_stiffness": 2 * stiff["bending_stiffness"]}
+    values = np.stack([string.values(each) for each in (sticks, stiffer, stiff)])
     tips = simulate(string, down, values, 0.005 * np.arange(61), pulled).tip
     assert np.abs(tips[0] - tips[1]).max() < 1e-4
     assert np.abs(tips[0] - tips[2]).max() > 1e-3
@@ -272,7 +276,7 @@ def test_displacement_within_the_slip_only_stiffens_a_string(arm):
 )
 def test_the_step_bound_covers_the_stiffness_after_a_reversal(name, times, where, arm):
     string = ordinary(arm).with_effects(effects_by_name()[name]).string
-    values = {f"{name}.{key}": value for key, value in KNOWN[name].items()}
+    values = {f"{name}.{key}": value for key, value in PARAMETER_VALUES[name].items()}
     steepest = memory_stiffness_bounds(
         string, string.material(string.values(TRUTH | values)[None])
     )[:, 0]

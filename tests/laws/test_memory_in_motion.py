@@ -28,7 +28,7 @@ from tests.laws.weightless import MEMORY_EFFECTS, WEIGHTLESS_WITH_MEMORY
 LENGTH = 0.3
 FORCES = (AxialSpring, AxialDamper, HingeSpring, HingeDamper, GraspSpring)
 MEMORY = tuple(effect.name for effect in MEMORY_EFFECTS)
-FIRM = {
+FIRM_GRASP = {
     "axial_stiffness": 2e4,
     "axial_damping": 2.0,
     "bending_damping": 0.0,
@@ -52,7 +52,7 @@ STIFFNESS = 0.05  # [m4/s2]
 FREQUENCY = np.sqrt(STIFFNESS / SEGMENT**4)
 
 
-def let_go(string, material, shape, t, theta=0.0):
+def release(string, material, shape, t, theta=0.0):
     """Return the points (F, n, 2) of a string released from given angles.
 
     Its hand is at rest at 0.
@@ -74,11 +74,11 @@ def let_go(string, material, shape, t, theta=0.0):
     return simulate(string, hand, string.values(per_point)[None], t, start).points[0]
 
 
-def bent(named, curvature, seconds=2.0, string=HINGE):
+def release_hinge(named, curvature, seconds=2.0, string=HINGE):
     """Release the one hinge from a curvature; return its curvature over time."""
     t = np.arange(0, seconds, 0.005)
-    material = FIRM | {"bending_stiffness": STIFFNESS} | named
-    points = let_go(string, material, [0.0, curvature * SEGMENT], t)
+    material = FIRM_GRASP | {"bending_stiffness": STIFFNESS} | named
+    points = release(string, material, [0.0, curvature * SEGMENT], t)
     first, second = np.moveaxis(np.diff(points, axis=1), 1, 0)
     turn = np.arctan2(
         first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0],
@@ -87,12 +87,14 @@ def bent(named, curvature, seconds=2.0, string=HINGE):
     return t, turn / SEGMENT
 
 
-def turns(t, x):
+def find_extremes(t, x):
     """Find times and sizes of the extremes, by parabolas through three points."""
     at = 1 + np.flatnonzero((x[1:-1] - x[:-2]) * (x[2:] - x[1:-1]) < 0)
-    before, here, after = x[at - 1], x[at], x[at + 1]
-    share = 0.5 * (before - after) / (before - 2 * here + after)
-    return t[at] + share * (t[1] - t[0]), np.abs(here - 0.25 * (before - after) * share)
+    before, extreme, after = x[at - 1], x[at], x[at + 1]
+    share = 0.5 * (before - after) / (before - 2 * extreme + after)
+    return t[at] + share * (t[1] - t[0]), np.abs(
+        extreme - 0.25 * (before - after) * share
+    )
 
 
 @pytest.mark.parametrize("name", ["maxwell_slip", "dahl_friction"])
@@ -103,8 +105,8 @@ def test_a_cap_reduces_each_swing_by_the_same_amount(name):
     the energies at successive ends of a swing.
     """
     start, cap, slip = 6.0, 0.25 * STIFFNESS, 0.02
-    t, curvature = bent({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
-    _, ends = turns(t, curvature)
+    t, curvature = release_hinge({f"{name}.cap": cap, f"{name}.slip": slip}, start, 4.0)
+    _, ends = find_extremes(t, curvature)
     ends = ends[ends > 1.0]
     assert len(ends) >= 8
     lost = -np.diff(np.concatenate([[start], ends]))
@@ -126,7 +128,7 @@ def test_a_sticking_hinge_swings_faster_than_a_slipping_one():
     named = {"maxwell_slip.cap": 3 * STIFFNESS * slip, "maxwell_slip.slip": slip}
     periods = []
     for start in (0.5 * slip, 120 * slip):
-        at, _ = turns(*bent(named, start))
+        at, _ = find_extremes(*release_hinge(named, start))
         periods.append(2 * np.diff(at)[:4].mean())
     np.testing.assert_allclose(
         np.array(periods) * FREQUENCY / (2 * np.pi), [0.5, 1.0], rtol=5e-3
@@ -154,16 +156,16 @@ def test_the_error_falls_at_least_linearly_with_the_step(name, integrator, step)
     named = {f"{name}.{key}": value for key, value in values.items()}
     steps = (0.01 * step, step, 0.5 * step, 0.1 * step)
     exact, *found = (
-        bent(named, 6.0, 0.5, replace(HINGE, integrator=integrator, largest_step=each))[
-            1
-        ]
+        release_hinge(
+            named, 6.0, 0.5, replace(HINGE, integrator=integrator, largest_step=each)
+        )[1]
         for each in steps
     )
-    whole, half, tenth = (np.abs(each - exact).max() for each in found)
-    assert whole > 0.1 * step
+    error, half_error, tenth_error = (np.abs(each - exact).max() for each in found)
+    assert error > 0.1 * step
     # the reference has an error of 1 % of the first
-    assert half < 0.51 * whole
-    assert tenth < 0.1 * whole
+    assert half_error < 0.51 * error
+    assert tenth_error < 0.1 * error
 
 
 # --- an independent rod: absolute angles, no stretch, SciPy
@@ -179,8 +181,12 @@ ROD = String(
 STIFF = {"axial_stiffness": 4e5, "axial_damping": 20.0}
 # absent by their values, so that no loop without them is compiled
 STIFF |= dict.fromkeys(["grasp_damping", "linear_drag", "quadratic_drag"], 0.0)
-KNOWN = {"bending_stiffness": 0.02, "bending_damping": 2e-4, "grasp_stiffness": 0.2}
-HELD = {
+KNOWN_VALUES = {
+    "bending_stiffness": 0.02,
+    "bending_damping": 2e-4,
+    "grasp_stiffness": 0.2,
+}
+HELD_VALUES = {
     "maxwell_slip.cap": 0.02,
     "maxwell_slip.slip": 0.5,
     "dahl_friction.cap": 0.015,
@@ -192,11 +198,11 @@ HELD = {
 }
 
 
-def stop(rate, held, limit):
+def stop_rate(rate, held, limit):
     return np.where((np.abs(held) < limit) | (held * rate < 0), rate, 0.0)
 
 
-def rates(theta, named):
+def state_rate(theta, named):
     """Return the rates of a rod's state by Lagrange's equations in the links' angles.
 
     The state holds angles of three massless links with points at their ends (3), their
@@ -234,22 +240,22 @@ def rates(theta, named):
             [
                 rate,
                 np.linalg.solve(shared * np.cos(turned), force),
-                stop(turning, slip, slipping[0]),
+                stop_rate(turning, slip, slipping[0]),
                 turning - np.abs(turning) * dahl / slipping[1],
                 turning - solid / named["standard_linear_solid.relaxation"],
-                stop(rate[:1], grasp, slipping[2]),
+                stop_rate(rate[:1], grasp, slipping[2]),
             ]
         )
 
     return change
 
 
-def independent(shape, t, theta, named):
+def integrate_rod(shape, t, theta, named):
     """Return the tip (F, 2) of the rod, integrated independently.
 
     It was pulled slowly from rest to these angles of its links and released.
     """
-    change = rates(theta, named)
+    change = state_rate(theta, named)
     rest = fsolve(
         lambda angle: change(0, np.concatenate([angle, np.zeros(10)]))[3:6],
         np.full(3, theta),
@@ -283,18 +289,20 @@ def test_an_independent_integration_of_a_rod_agrees(law):
     more than 5 mm.
     """
     absent = (
-        HELD
-        | {name: 0.0 for name in HELD if name.endswith(("cap", "stiffness"))}
-        | KNOWN
+        HELD_VALUES
+        | {name: 0.0 for name in HELD_VALUES if name.endswith(("cap", "stiffness"))}
+        | KNOWN_VALUES
     )
     named = absent | {
         name: value
-        for name, value in HELD.items()
+        for name, value in HELD_VALUES.items()
         if law in ("all", name.split(".")[0])
     }
     t, theta, shape = np.arange(0, 0.4, 0.005), -0.6, np.array([-0.4, -0.1, 0.5])
-    tip = let_go(ROD, STIFF | named, shape, t, theta)[:, -1]
-    expected, without = (independent(shape, t, theta, each) for each in (named, absent))
+    tip = release(ROD, STIFF | named, shape, t, theta)[:, -1]
+    expected, without = (
+        integrate_rod(shape, t, theta, each) for each in (named, absent)
+    )
     assert np.abs(tip - expected).max() < 5e-5
     assert np.abs(without - expected).max() > 5e-3
 
@@ -348,8 +356,10 @@ def test_a_law_with_memory_is_one_file_with_twelve_lines_of_law(
     (effects_folder / "creeping_slip.py").write_text(FILE)
     string = replace(HINGE, effects=(*FORCES, effects_by_name()["creeping_slip"]))
     known = {"creeping_slip.slip": 0.1, "creeping_slip.creep": 0.2}
-    _, with_it = bent(known | {"creeping_slip.cap": 0.2 * STIFFNESS}, 6.0, 1.0, string)
-    _, absent = bent(known, 6.0, 1.0, string)
-    _, plain = bent({}, 6.0, 1.0)
+    _, with_it = release_hinge(
+        known | {"creeping_slip.cap": 0.2 * STIFFNESS}, 6.0, 1.0, string
+    )
+    _, absent = release_hinge(known, 6.0, 1.0, string)
+    _, plain = release_hinge({}, 6.0, 1.0)
     np.testing.assert_allclose(absent, plain, atol=1e-9)
     assert np.abs(with_it[100:]).max() < 0.95 * np.abs(plain[100:]).max()

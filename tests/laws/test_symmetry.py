@@ -16,7 +16,7 @@ from tests.laws.weightless import WEIGHTLESS_WITH_MEMORY
 
 T = np.arange(0, 0.4, 0.005)
 POSE = waving_pose(T, 0.1, 0.3)
-NAMED = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
+BASE_VALUES = TRUTH | {"axial_stiffness": 2e5, "grasp_stiffness": 3.0}
 AIRLESS = {"linear_drag": 0.0, "quadratic_drag": 0.0}
 STRING = String(0.3)
 # its memory is absent by its values
@@ -25,7 +25,7 @@ WEIGHTLESS = String(0.3, effects=WEIGHTLESS_WITH_MEMORY, integrator=ImplicitLeap
 
 def simulate_hand(pose: np.ndarray, string: String = STRING) -> np.ndarray:
     return simulate(
-        string, resample_hand_motion(T, pose), string.values(NAMED)[None], T
+        string, resample_hand_motion(T, pose), string.values(BASE_VALUES)[None], T
     ).points[0]
 
 
@@ -65,7 +65,7 @@ def test_inner_forces_sum_to_zero():
     x = np.cumsum(np.clip((t - 0.05) / 0.1, 0, 1)) * 0.005
     pose = np.stack([x, 0 * t, 0 * t + np.pi], axis=-1)
     named = (
-        NAMED
+        BASE_VALUES
         | AIRLESS
         | {"axial_damping": 3000.0, "bending_damping": 0.3, "grasp_damping": 0.3}
     )
@@ -95,7 +95,7 @@ def test_a_string_that_turns_with_the_hand_is_not_bent_by_the_grasp():
         "bending_damping": 10.0,
         "grasp_damping": 20.0,
     }
-    named = NAMED | AIRLESS | firm
+    named = BASE_VALUES | AIRLESS | firm
     points = simulate(
         string, resample_hand_motion(t, pose), string.values(named)[None], t
     ).points[0, -1]
@@ -112,12 +112,12 @@ def test_results_depend_neither_on_other_candidates_nor_on_threads(integrator):
     values = np.array([p.value(rng.random(40)) for p in string.parameters]).T
     hand = resample_hand_motion(T, POSE)
     with threads(numba.config.NUMBA_NUM_THREADS):
-        together = simulate(string, hand, values, T).points
+        joint_result = simulate(string, hand, values, T).points
     with threads(1):
-        alone = np.concatenate(
+        single_results = np.concatenate(
             [simulate(string, hand, values[i : i + 1], T).points for i in range(40)]
         )
-    np.testing.assert_array_equal(together, alone)
+    np.testing.assert_array_equal(joint_result, single_results)
 
 
 @pytest.mark.parametrize(
@@ -140,11 +140,11 @@ def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, inte
     rng = np.random.default_rng(1)
     each = [p.value(rng.uniform(0.3, 0.6, 3)) for p in string.parameters]
     hand, values = resample_hand_motion(T, POSE), np.array(each).T
-    together = simulate(string, hand, values, T).points
+    joint_result = simulate(string, hand, values, T).points
     monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
-    alone = [simulate(string, hand, row[None], T).points[0] for row in values]
-    assert np.isfinite(together).all()
-    np.testing.assert_array_equal(together, alone)
+    single_results = [simulate(string, hand, row[None], T).points[0] for row in values]
+    assert np.isfinite(joint_result).all()
+    np.testing.assert_array_equal(joint_result, single_results)
 
 
 def test_only_the_paper_s_forces_use_a_single_lane(monkeypatch):
