@@ -1,4 +1,4 @@
-"""A clean dataset with each kind of mistake.
+"""Datasets with each kind of mistake.
 
 Each mistake gives the right finding, which names file, field and remedy. Clean datasets
 give none.
@@ -31,19 +31,19 @@ from stringcast.stages.model.lens import Lens
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured"
 ANGLES = ["q1", "q2", "q3"]
-# of which a model explains so much that no mistake is looked for where there is none
+# trials that a model explains so well that right data need no search for mistakes
 TRIALS = ["t00", "t02", "t03"]
 AS_A_RUN = measured_sample()
 
 
 class Dirty:
-    """Tables of the sample, to be changed and written."""
+    """Tables of the sample that are changed and written."""
 
     def __init__(self):
         arm, points = (
             pd.read_parquet(SAMPLE / f"{name}.parquet") for name in ("arm", "points")
         )
-        # a third of the points and three trials make the test quicker
+        # a third of the points and three trials make the test faster
         few = np.sort(points["s"].unique())[::3]
         self.arm = arm[arm["trial"].isin(TRIALS)].reset_index(drop=True)
         self.points = points[
@@ -81,7 +81,7 @@ def dirty():
 
 
 def read_checked(folder):
-    """Check as the command does, without composing the configuration again."""
+    """Read data as the command does, without composing the configuration again."""
     data = dataset.read_dataset(folder)
     links = data.metadata.get("arm", {}).get("links", AS_A_RUN.arm.links)
     length = data.metadata.get("string", {}).get("length", 0.3)
@@ -161,7 +161,7 @@ def arm_and_grasp(dirty):
 
 def unknown_arm(dirty):
     undescribed(dirty)
-    dirty.points["x"] -= 0.3  # angles of an arm that stands elsewhere
+    dirty.points["x"] -= 0.3  # angles of an arm at another place
 
 
 def undescribed(dirty):
@@ -201,7 +201,7 @@ def constant(dirty):
 
 
 def turn_over(dirty):
-    """Turn everything upside down: consistent, but the string rests above the hand."""
+    """Turn everything upside down: consistent, but the string is above the hand."""
     dirty.with_poses()
     for table in ("grasp", "points"):
         getattr(dirty, table)["y"] *= -1
@@ -330,7 +330,7 @@ AT_THE_TIP = (
 def test_an_error_is_found_from_tips_alone(dirty, tmp_path, kind):
     """The tip alone suffices to refuse the dataset.
 
-    Another mistake may explain it too, but the presence of a mistake is certain.
+    Another mistake may explain it, too, but the presence of a mistake is certain.
     """
     spoil, _, _ = CERTAIN[kind]
     dirty.points = dirty.points[dirty.points["s"] > 0.99 * dirty.length].reset_index(
@@ -556,7 +556,7 @@ def strays(dirty):
 
 
 def commas(dirty):
-    """End lines with a comma, and put blanks into names, as some programs do."""
+    """End lines with a comma and put blanks into names, as some programs do."""
     dirty.commas = True
 
 
@@ -612,7 +612,7 @@ def test_right_casts_have_no_findings_whichever_points_are_seen(dirty, tmp_path,
 def test_marks_of_a_string_of_unknown_length_may_all_be_before_its_end(
     dirty, tmp_path, share
 ):
-    """Nothing but the length is missing: no unit or arm is to be corrected."""
+    """Only the length is missing: no unit or arm needs correction."""
     dirty.points = dirty.points[dirty.points["s"] <= share * dirty.length]
     marks = np.sort(dirty.points["s"].unique())[[-2, -1]]
     dirty.points = dirty.points[dirty.points["s"].isin(marks)]
@@ -635,11 +635,11 @@ def test_every_check_can_find_something():
 def test_if_two_units_fit_the_fall_decides_and_both_are_stated(
     dirty, tmp_path, share, unit, size, slow
 ):
-    """Where two units fit, the fall decides, and both are reported.
+    """If two units fit, the fall decides, and both are stated.
 
     The test uses a whole string and its tip alone. 0.304 m in cm would be 30 mm if read
-    in mm. Half that string in mm moves in the square root of half the time. It would be
-    1.52 m if read in cm.
+    in mm. Half that string in mm moves faster by the root of two. It would be 1.52 m if
+    read in cm.
     """
     dirty.with_poses()
     dirty.points = dirty.points[dirty.points["s"] >= share * (1 - 1e-9) * dirty.length]
@@ -663,10 +663,7 @@ def test_if_two_units_fit_the_fall_decides_and_both_are_stated(
 def test_a_fall_that_contradicts_gravity_is_reported(
     dirty, tmp_path, times, lengths, expected, advice
 ):
-    """A string that falls impossibly is reported.
-
-    The film has 200 frames a second played at 25, and all lengths are in decimetres.
-    """
+    """A film with 200 frames per second is played at 25, or units are decimetres."""
     for table in (dirty.with_poses().grasp, dirty.points):
         table["t"] *= times
         table[["x", "y"]] *= lengths
@@ -679,7 +676,7 @@ def test_a_fall_that_contradicts_gravity_is_reported(
 
 
 def test_a_string_that_stays_at_rest_does_not_fall(dirty, tmp_path):
-    """A stiff one sticks out of the hand, and shows no gravity at all."""
+    """A stiff one keeps the hand's direction and shows no gravity."""
     dirty.with_poses()
     for table, places in ((dirty.grasp, "trial"), (dirty.points, ["trial", "s"])):
         first = table.groupby(places)[["x", "y"]].transform("first")
@@ -694,7 +691,7 @@ def test_a_string_that_stays_at_rest_does_not_fall(dirty, tmp_path):
 
 
 SQUARE = Lens((500.0, 500.0), (160.0, 120.0), (0.0, 0.0, 0.0, 0.0))
-# lenses for 320 x 240 px; the message where no camera takes such a picture
+# changes of a camera with 320 x 240 px, and the message if it is impossible
 PICTURES = {
     "ordinary": ({}, ""),
     "barrel": ({"distortion": -0.1}, ""),
@@ -785,7 +782,7 @@ def test_a_page_shows_measurements_and_findings(dirty, called, undrawn, tmp_path
     assert page.count("<img") == len(TRIALS)
     assert 'class="wide"' not in page, "on a phone the clocks would lie beyond the edge"
     assert "Trial t03: 129 frames of a string of 304 mm" in page
-    # the page needs no network
+    # the page works without a network
     assert "://" not in page.replace("http://www.w3.org", "")
     refused = called("check", tmp_path, "--report", tmp_path / "page.pdf")
     assert (refused.returncode, "must end in .html" in refused.stderr) == (2, True)
@@ -868,7 +865,7 @@ def test_detection_limits_are_shown_if_requested(
 
 @pytest.mark.long
 def test_detection_limits_of_the_sample(called):
-    """The sample reveals small offsets.
+    """The sample shows small offsets.
 
     It has half a metre of string and thousands of readings. It shows a camera offset of
     half a millimetre, since smaller ones do not matter, and a small part of a frame in

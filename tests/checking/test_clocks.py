@@ -1,4 +1,4 @@
-"""The offset between the clocks of arm and camera, from the motion alone."""
+"""The clock offset of arm and camera, estimated from the motion."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -93,7 +93,7 @@ def test_outliers_do_not_narrow_a_window(step):
     dirty = replace(seen, observation=replace(seen.observation, points=points))
     window = onset_window(seen)
     assert onset_window(dirty) == window
-    # one of many points is not looked at, even if it does not jump back
+    # one of many points is trimmed, even if it does not jump back
     used = dirty if step == 1000 else without_spikes(dirty)
     assert narrow_by_stretch([used], window) == pytest.approx(
         narrow_by_stretch([seen], window), abs=2 * FRAME_S
@@ -109,8 +109,8 @@ def test_the_offset_of_a_string_that_never_moves_is_refused():
 
 
 def test_the_estimated_offset_is_within_its_interval(monkeypatch):
-    """The interval holds the truth although the sample hides a cause."""
-    # a fit that only a refusal needs
+    """The interval contains the truth although the sample hides a cause."""
+    # a fit that is needed only for a refusal
     monkeypatch.delattr(offset, "explained_by_offset")
     by = -35.678
     late_trials = [late(seen, by).observation for seen in TRIALS[:2]]
@@ -134,7 +134,7 @@ def test_ranges_of_stiffness_include_a_clamped_strip():
     before = {parameter.name: parameter for parameter in plain.string.parameters}
     for name in ("linear_drag", "grasp_damping"):
         assert by_name[name] == before[name]
-    # what is configured to be wider stays, and what was measured too
+    # wider configured ranges and measured ranges are kept
     grasp = replace(by_name["grasp_stiffness"], high=5e3)
     cable = wide.with_ranges(grasp)
     assert model_up_to_strips(cable).string == cable.string
@@ -144,7 +144,7 @@ def test_ranges_of_stiffness_include_a_clamped_strip():
 
 
 def push_aside(observation, acceleration):
-    """Push the string aside with an acceleration [m/s2], from 0.25 s on."""
+    """Push the string aside with an acceleration [m/s2] after 0.25 s."""
     points = observation.points
     since_onset_s = np.maximum(points["t"] - points["t"].min() - 0.25, 0.0)
     push_m = acceleration / 2 * since_onset_s**2 * points["s"] / points["s"].max()
@@ -154,9 +154,9 @@ def push_aside(observation, acceleration):
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 def test_an_unknown_disturbance_does_not_separate_clocks(seed):
-    """The fit with one clock begins again from the string that own clocks found.
+    """The fit with one clock restarts from the string found with separate clocks.
 
-    Without this, trials got clocks of their own that were up to 290 ms off.
+    Without this, trials got separate clocks that were wrong by up to 290 ms.
     """
     accelerations = (4.0, 3.0, 3.6, 3.2)
     pushed = [
@@ -201,7 +201,7 @@ def test_the_drift_of_a_slow_clock_is_within_its_interval():
 
 
 def clock_with(log_likelihoods, misfit_m):
-    """Stand for a fit with a log-likelihood and a misfit of each trial."""
+    """Return a stand-in for a fit with log-likelihoods and misfits of trials."""
     by_trial = np.array(log_likelihoods)
     fit = SimpleNamespace(log_evidence=by_trial.sum(), log_likelihood_by_trial=by_trial)
     return SimpleNamespace(fit=fit, data=np.array(misfit_m))
@@ -213,10 +213,10 @@ def clock_with(log_likelihoods, misfit_m):
         ((10.0, 10.0), (0.01, 0.01), True),
         ((10.0, 10.0), (0.08, 0.08), False),
         ((-10.0, -10.0), (0.01, 0.01), False),
-        # one trial of several never decides, by its likelihood or by its misfit
+        # one of several trials does not decide by its likelihood or misfit
         ((90.0, -10.0), (0.01, 0.01), False),
         ((90.0, 10.0), (0.01, 0.08), False),
-        # the only trial does
+        # a single trial does
         ((10.0,), (0.01,), True),
         ((10.0,), (0.08,), False),
     ],
@@ -231,12 +231,12 @@ def test_more_clock_parameters_need_evidence_and_half_of_the_misfit(
 
 
 def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
-    """Of equal deviations, the scatter is what the variance of the means exceeds."""
+    """With equal deviations, it is the excess variance of the means."""
     mean = np.array([0.01, -0.02, 0.03, 0.0])
     own = BackgroundPosterior(mean, 0.005**2 * np.eye(4))
     excess = np.var(mean, ddof=1) - 0.005**2
     assert offset._scatter_of_trials(own) == pytest.approx(np.sqrt(excess))
-    # what all share does not count, and offsets nearer than that do not scatter
+    # a common error is no scatter, and nearer offsets have none
     shared = replace(own, covariance=own.covariance + 1.0)
     assert offset._scatter_of_trials(shared) == pytest.approx(np.sqrt(excess), rel=1e-3)
     wide = replace(own, covariance=0.05**2 * np.eye(4))
@@ -247,7 +247,7 @@ def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
 def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
     drift, monkeypatch
 ):
-    """The posterior is exact here, and of four trials the mean scatters half as much."""
+    """The posterior is exact here; the mean of four trials has half the scatter."""
     clock = SimpleNamespace(data=SimpleNamespace(trials=range(4)), offset=0.0)
     exact = BackgroundPosterior(np.zeros(1), np.zeros((1, 1)))
     monkeypatch.setattr(offset, "time_slopes", lambda clock: [])
@@ -274,7 +274,7 @@ def test_only_a_wrong_clock_is_refused():
 def test_an_offset_that_explains_little_misfit_is_not_certain(
     explained, is_refused, monkeypatch
 ):
-    """A string that the model does not describe fits a little better at some offset."""
+    """With a wrong string model, some offset fits a little better."""
     interval = Interval(0.2, 0.1, 0.3)
     found = ClockOffset({"t00": interval}, True, None, pd.DataFrame())
     fitted = FittedOffset(found, ["fit"], [Window(-0.3, 0.3)])
@@ -313,7 +313,7 @@ def test_clocks_of_real_cables_with_friction_and_a_set_are_not_refused(tmp_path,
 
 
 def linear_problem(background):
-    """Return data and a fit of one offset, beside which an effect may be active."""
+    """Return data and a fit of an offset, and responses to one further effect."""
     slope = np.array([[1.0, 1.0, 1.0, 1.0]])
     residual = np.array([0.5, 0.5, 0.5, 0.5])
     error_model = SimpleNamespace(whiten=lambda rows, scale: rows)

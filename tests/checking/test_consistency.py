@@ -1,4 +1,4 @@
-"""Measurements are judged by one model: mistakes are found, right ones left alone."""
+"""Measurements are judged by a rough model, which finds only real mistakes."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -53,7 +53,7 @@ def measured():
 
 
 def measurements_of(bench):
-    """Return what a bench measures, at places that are not stated."""
+    """Return the measurements of a simulator, without arc lengths."""
     recordings = []
     for number, ((t, joints), points) in enumerate(
         zip(bench.hands, bench.points, strict=True)
@@ -71,9 +71,9 @@ MISTAKES = {
     ),
     "rate": (PointRate, lambda m: scale_point_times(m, 2.0)),
     "base": (ArmElsewhere, lambda m: replace(m, base=(m.base[0] + 0.3, m.base[1]))),
-    # links of a tenth would be possible, too, but fit ten times worse
+    # links of a tenth would be possible, but fit ten times worse
     "base up": (ArmElsewhere, lambda m: replace(m, base=(m.base[0], m.base[1] + 0.3))),
-    # with a stiffer string, and any offset of the clocks, these are possible
+    # with a stiffer string and another clock offset, these are possible
     "pace 2": (Pace, lambda m: scale_all_times(m, 2.0)),
     "pace 8": (Pace, lambda m: scale_all_times(m, 8.0)),
 }
@@ -92,7 +92,7 @@ def test_a_mistake_has_one_correction(measured, mistake):
 
 
 def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
-    """Without a length, longer strings with other clocks come near to such points."""
+    """Without a length, longer strings with other clocks nearly fit such points."""
     right = replace(measurements_of(simulated_bench()), length=None)
     assert not broken_limits(right)
 
@@ -107,13 +107,13 @@ def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
 
 
 def test_a_base_that_the_motion_does_not_determine_is_requested(measured):
-    """Without a length, a longer string in a higher hand moves alike."""
+    """Without a length, a longer string in a higher hand moves in the same way."""
     x, y = measured.base
     elsewhere = replace(measured, length=None, base=(x, y + 0.2))
     ((correction,),) = base_corrections(elsewhere, ())
     assert not correction.is_shown
     assert "others up to" in correction.statement
-    assert option_words(correction, None, None) == []  # no option of `import` states it
+    assert option_words(correction, None, None) == []  # `import` has no option for it
 
 
 @pytest.mark.parametrize("shift", [(-0.12, 0.0), (0.2, 0.0), (0.1, 0.05)])
@@ -143,7 +143,7 @@ def test_a_misfit_that_grows_from_a_right_beginning_is_a_warning():
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (4, 5))]
 )
 def test_a_string_with_a_set_is_a_warning(seed):
-    """It rests bent, in a hand that is where it seems."""
+    """It is bent at rest; the hand is right."""
     measured = scene_measurements("own_kernel", seed, set_per_m=-5.0)
     verdict = judge(measured)
     assert not verdict.is_consistent
@@ -157,9 +157,9 @@ def test_a_right_pace_is_kept_although_slower_points_move_less():
 
 
 def test_a_soft_string_in_a_clamp_needs_no_correction():
-    """It leaves the hand in its direction, and hangs down a few centimetres from it.
+    """It leaves the hand in the hand's direction and hangs after a few centimetres.
 
-    Strings in grasps that yield hang elsewhere. An arm elsewhere would explain that.
+    Strings in compliant grasps hang elsewhere, as if the arm had another base.
     """
     clamped = measurements_of(simulated_bench(SOFT_AND_CLAMPED))
     verdict = judge(clamped)
@@ -168,9 +168,9 @@ def test_a_soft_string_in_a_clamp_needs_no_correction():
 
 
 def test_the_ladder_contains_the_rest_shape_of_a_soft_string_in_a_clamp():
-    """A beam with the stiffness of a rung is clamped in a hand that points ahead.
+    """A beam with the stiffness of a rung is clamped in a tilted hand.
 
-    Of N rigid pieces, its potential energy is least at rest:
+    At rest, the potential energy of N rigid pieces is least:
 
         V / m = g sum_k y_k + EI / (lambda l^2) sum_k (a_k - a_{k-1})^2 / 2,
 

@@ -1,4 +1,4 @@
-"""Arc lengths of points by how a string hangs, against the heavy elastica.
+"""Arc lengths of points on a hanging string, compared with the heavy elastica.
 
 The elastica is solved as a boundary value problem, EI theta'' = lambda g (L - s)
 cos(theta), and shares nothing with the rod that is fitted.
@@ -25,7 +25,7 @@ GRAVITY_LENGTHS_M = [0.02, 0.06, 0.15]  # (EI / lambda g)^(1/3): limp to stiff
 
 
 def elastica(theta: float, gravity_length: float, curvature: float = 0.0):
-    """Return the place of points [m] of a rod clamped at an angle [rad]."""
+    """Return places of points [m] on a rod clamped at an angle [rad]."""
     s = np.linspace(0.0, LENGTH_M, 400)
 
     def slope(s, y):
@@ -63,7 +63,7 @@ def test_arc_lengths_of_points_on_a_clamped_rod_are_found(gravity_length, length
 
 
 def test_arc_lengths_on_a_stiff_rod_exceed_distances_from_the_hand():
-    """What a limp string would be: the fit is not of what distances say anyway."""
+    """The arc lengths of a limp string would be wrong."""
     chords = resting(GRAVITY_LENGTHS_M[1]).chords
     assert chords[1] < PLACES_M[1] - 0.004
     assert chords[2] < PLACES_M[2] - 0.004
@@ -78,7 +78,7 @@ def test_set_and_length_are_distinguished():
 def test_a_wrong_direction_of_the_hand_causes_errors_of_at_most_4_mm(
     gravity_length,
 ):
-    """The hand's direction is off by 0.2 rad."""
+    """The hand's direction is wrong by 0.2 rad."""
     turned = resting(gravity_length)
     turned.hands[:, 2] -= 0.2
     found = fit_hanging_string(turned, LENGTH_M).arc_lengths
@@ -116,7 +116,7 @@ def test_a_point_at_the_grasp_is_at_the_beginning_of_the_string():
 
 
 def test_no_arc_length_exceeds_that_of_the_end():
-    """The mean of two points at the end is nearer to the hand than the end."""
+    """The mean place of two points at the end is nearer to the hand than the end."""
     places = np.array([[[0.0, -0.3], [0.001, -0.3]], [[0.001, -0.301], [0.0, -0.299]]])
     hands = np.tile([0.0, 0.0, -0.5], (2, 1))
     twice = RestingPoints(("one", "other"), hands, places, ("a", "b"))
@@ -127,7 +127,7 @@ def test_no_arc_length_exceeds_that_of_the_end():
 
 
 def recording(name, hand_x, places, starts_moving=False):
-    """Return 20 frames of points below a hand, which all move after half of them."""
+    """Return 20 frames of points below a hand that all move after ten frames."""
     t = np.arange(20.0)
     moved = np.where(t > 10, 0.3, 0.0)[:, None] * [1.0, 0.0]
     hand = np.tile([hand_x, 0.0, 1.0], (20, 1))
@@ -138,7 +138,7 @@ def recording(name, hand_x, places, starts_moving=False):
 
 
 def test_resting_points_are_collected_from_trials_that_begin_at_rest():
-    """The nearest comes first, and a string that moves at first rests nowhere."""
+    """The nearest point is first; a string that starts moving has none."""
     both = {"tip": -0.3, "mid": -0.1}
     recordings = [
         recording("a", 0.1, both),
@@ -155,7 +155,7 @@ def test_resting_points_are_collected_from_trials_that_begin_at_rest():
 
 
 def test_a_point_that_moves_in_its_first_frames_does_not_rest():
-    """Filmed too slowly, the tip was at rest in a frame only."""
+    """With a slow camera, the tip was at rest in only one frame."""
     still = recording("still", 0.0, {"mid": -0.1, "tip": -0.3})
     *others, tip = recording("slow", 0.0, {"mid": -0.1, "tip": -0.3}).tracks
     moving_tip = replace(tip, xy=tip.xy + 0.01 * tip.t[:, None])

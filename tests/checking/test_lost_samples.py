@@ -1,4 +1,4 @@
-"""Samples that hold no measurement are found, and honest repetition is left alone."""
+"""Lost samples are found, and measured repetitions are kept."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ from stringcast.stages.check.finding import Severity
 from tests.checking.test_check import Dirty, findings_in
 
 COUNT = 400
-EXTENT = 0.35  # [m] of what moves
+EXTENT = 0.35  # [m] of moving points
 T = np.arange(COUNT) / 200
 RNG = np.random.default_rng(5)
 
@@ -70,7 +70,7 @@ def test_a_grasp_that_stops_within_three_samples_is_not_lost():
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3, 4e-3])
 @pytest.mark.parametrize("rest", [0, 300])
 def test_quantised_or_resting_points_are_not_lost(step, noise, rest):
-    """Of honest points, at most one in a hundred is taken for a held one."""
+    """At most one in a hundred measured points is taken for a repeated one."""
     assert held_mask(swing(noise, step, rest), EXTENT).mean() < 0.01
 
 

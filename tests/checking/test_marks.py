@@ -1,4 +1,4 @@
-"""Marks that hang elsewhere along the string than stated are found."""
+"""Marks with wrong arc lengths are found from the hanging string."""
 
 import re
 
@@ -44,7 +44,7 @@ def test_a_wrong_mark_is_found_with_its_place(few_marks, tmp_path, sign):
 
 @pytest.mark.parametrize("change", ["two trials", "moving", "another hand"])
 def test_strings_that_do_not_show_marks_give_no_warning(few_marks, tmp_path, change):
-    """They hang in too few ways, do not hang, or hang otherwise than in this hand."""
+    """They have too few shapes, do not hang, or do not fit this hand."""
     dirty, (_, place, _) = few_marks
     dirty.points.loc[dirty.points["s"] == place, "s"] = place + SHIFT_M
     if change == "two trials":
@@ -59,16 +59,16 @@ def test_strings_that_do_not_show_marks_give_no_warning(few_marks, tmp_path, cha
 
 
 def test_a_whole_centre_line_is_not_checked(tmp_path):
-    """Its arc lengths are measured in the picture, and of all points alike."""
+    """Its arc lengths are measured in the picture."""
     dirty = Dirty()
     dirty.points["s"] *= 1 + 0.1 * np.sin(9 * dirty.points["s"])
     assert not mark_findings(dirty, tmp_path)
 
 
 def test_marks_seen_in_alternate_frames_are_not_checked(tmp_path):
-    """Of six marks of a string of 1 m two are seen in each frame.
+    """Two of six marks on a string of 1 m are seen in each frame.
 
-    Places between them are followed, which have numbers and not arc lengths for names.
+    Interpolated places are tracked, which are named by numbers, not arc lengths.
     """
     dirty = Dirty().with_poses()
     longer = 1.0 / float(dirty.points["s"].max())

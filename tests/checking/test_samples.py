@@ -1,4 +1,4 @@
-"""What a track's samples show is noted, and clean tracks of each kind are left alone."""
+"""Properties of a track's samples are noted; right tracks have no notes."""
 
 import re
 
@@ -93,12 +93,12 @@ def test_findings_without_action_are_notes(dirty, tmp_path, spoil):
 
 
 def rounded(dirty):
-    """Round to a tenth of a millimetre, as a tracker's CSV does."""
+    """Round to a tenth of a millimetre, as in a tracker's CSV."""
     dirty.points[["x", "y"]] = np.round(dirty.points[["x", "y"]], 4)
 
 
 def jittered(dirty):
-    """Let a computer's clock write the times."""
+    """Add the jitter of a computer's clock to the times."""
     dirty.about["camera"] = {"fps": 200}
     times = np.sort(dirty.points["t"].unique())
     moved = times + RNG.normal(0, 5e-4, len(times))
@@ -106,7 +106,7 @@ def jittered(dirty):
 
 
 def dropped(dirty):
-    """Drop frames at random, of a camera with the stated rate."""
+    """Drop random frames of a camera with the stated rate."""
     dirty.about["camera"] = {"fps": 200}
     times = dirty.points["t"].unique()
     kept = times[RNG.random(len(times)) > 0.3]
@@ -130,7 +130,7 @@ def test_usual_data_have_no_notes(dirty, tmp_path, change):
 def test_dropped_frames_do_not_enlarge_the_noise(dirty, tmp_path):
     dropped(dirty)
     for trial in read_checked(dirty.write(tmp_path)).trials:
-        assert 0.5e-3 < trial.noise < 1e-3  # of all frames: 0.66 to 0.69 mm
+        assert 0.5e-3 < trial.noise < 1e-3  # with all frames: 0.66 to 0.69 mm
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
@@ -151,7 +151,7 @@ def test_a_grid_is_distinguished_from_numbers_with_many_digits():
 
 
 def test_the_interval_of_frames_covers_the_true_one():
-    """Of 200 films with jitter and gaps, about 95 % lie within 1.96 sigma."""
+    """The error is within 1.96 sigma in 95 % of 200 films with jitter and gaps."""
     covered = 0
     for _ in range(200):
         t = np.arange(300) / 200

@@ -1,4 +1,4 @@
-"""Clean data of unusual but right geometry, from a simulator that is not the model."""
+"""Right data with unusual geometry, from simulators that differ from the model."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.benchmarks.simulators.scene import Fidelity, Scene
 
 TRIALS = 3
 NOISE_M = 7e-4
-CLAMP_RATIO = 100.0  # of a clamp's stiffness to that of the string over its length
+CLAMP_RATIO = 100.0  # stiffness of a clamp over that of the string
 
 
 def scene_measurements(
@@ -32,26 +32,26 @@ def scene_measurements(
     set_per_m: float = 0.0,
     clamped: bool = False,
 ) -> Measurements:
-    """Simulate casts and return what would be measured.
+    """Simulate casts and return their measurements.
 
     Parameters
     ----------
     simulator, seed
-        Of the reference simulators, and of chance.
+        One of the reference simulators, and the random seed.
     length, base, links
         Geometry [m].
     lowest
-        Lowest angle of joint 1 [rad], to begin with the hand up.
+        Lowest angle of joint 1 [rad], at the start, with the hand up.
     speed
-        Of the hand [m/s].
+        Speed of the hand [m/s].
     places
-        Seen points, in lengths.
+        Arc lengths of visible points, in lengths.
     begin
-        Share of each trial that is cut off, so that the string moves already.
+        Share of each trial that is cut off, so that the string starts moving.
     hidden
         Share of the frames in which the tip is hidden.
     set_per_m
-        Curvature of the string at rest [1/m], of the own kernel.
+        Curvature of the string at rest [1/m], only with the own kernel.
     clamped
         Whether the grasp is far stiffer than the string.
     """

@@ -13,10 +13,7 @@ from tests.diagnosis.test_forward_selection import diagnose_casts, interrupt
 
 
 def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
-    """A cause that was dropped is not reported.
-
-    The first of two accepted causes was redundant after the second.
-    """
+    """The first of two accepted causes was redundant after the second."""
     hypotheses = {}
     for names in (("a",), ("a", "b"), ("b",)):
         hypothesis = SimpleNamespace(cause_names=names, base=None, causes=names)

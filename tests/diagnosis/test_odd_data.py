@@ -86,10 +86,7 @@ def test_unusable_trials_are_rejected_with_the_reason(model, moving_trial):
 
 
 def test_matching_rate_uses_the_initial_state_of_the_whole_trial(model, moving_trial):
-    """The matching rate uses the initial state of the whole trial.
-
-    The twenty rated frames are too far apart to estimate the state.
-    """
+    """The twenty rated frames are too far apart to estimate the state."""
     count = with_rated_frames(moving_trial).points["t"].nunique()
     assert RATED_FRAMES <= count < 2 * RATED_FRAMES
     trial = prepare_trial(model, moving_trial)

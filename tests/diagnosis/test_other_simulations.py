@@ -53,10 +53,7 @@ def test_data_from_the_configured_mesh_show_no_cause(arm, chain):
 
 @pytest.mark.long
 def test_a_cause_on_the_configured_mesh_has_its_size_there(arm, chain):
-    """A cause on the configured mesh has its size on that mesh.
-
-    On a fine mesh the tip mass would be too large by half a segment, 5.6 %.
-    """
+    """On a fine mesh the tip mass would be too large by half a segment, 5.6 %."""
     heavy = chain.with_effects(TipMass)
     truth = TRUTH | {"tip_mass.ratio": 0.1}
     diagnosis = diagnose_swings(arm, chain, heavy, truth, 1)

@@ -36,10 +36,7 @@ class Scaled:
 
 @pytest.mark.parametrize("weights", [(1.0, 1.0), (0.5, 1.5)])
 def test_the_evidence_with_background_is_that_of_a_dense_covariance(weights):
-    """The evidence with background effects is that of a dense covariance.
-
-    A trial with half the weight has twice the variance.
-    """
+    """A trial with half the weight has twice the variance."""
     rng, sizes = np.random.default_rng(0), np.array([1.0, 3.0])
     slopes, small = (
         [rng.standard_normal((rows, 20)) * scale for _ in range(2)]
@@ -134,10 +131,7 @@ def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch)
 
 
 def test_swapped_look_alikes_end_with_posteriors_of_the_final_model(monkeypatch):
-    """Repeated swaps end with the posteriors of the final model.
-
-    Here each of two look-alikes is likelier than the other when that is active.
-    """
+    """Here each of two look-alikes is likelier than the other when that is active."""
     fits = {name: named_fit(name, name) for name in "ab"}
     by_fit = {}
     for name, other in ("ab", "ba"):
@@ -200,10 +194,7 @@ def test_a_cause_is_removed_only_if_its_place_is_probably_empty(
 def test_evidence_from_one_trial_against_the_others_is_not_certain(
     by_trial, is_certain, monkeypatch
 ):
-    """A cause that one trial supports against the others is not certain.
-
-    The total gain is 80, which would be certain without the bootstrap.
-    """
+    """The total gain is 80, which would be certain without the bootstrap."""
     posterior = posterior_of_wind(monkeypatch, by_trial, inside_range=True)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
     assert (posterior.probabilities["wind"] > 0.9) == is_certain
@@ -335,10 +326,7 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
 def test_the_likeliest_effects_replace_causes_if_their_joint_evidence_is_higher(
     probabilities, evidence, causes, monkeypatch
 ):
-    """The likeliest effects replace causes if their joint evidence is higher.
-
-    They replace a tilt and a play without evidence.
-    """
+    """They replace a tilt and a play without evidence."""
 
     def fit(*causes, evidence=0.0):
         hypothesis = SimpleNamespace(base=None, causes=causes, cause_names=causes)

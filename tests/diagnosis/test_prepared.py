@@ -128,10 +128,7 @@ def test_outliers_are_removed_and_hardly_any_other_point(model):
 
 
 def test_a_trial_of_scattered_points_is_not_emptied(model):
-    """A trial of scattered points is not emptied.
-
-    A tracker had lost the tip in all six frames.
-    """
+    """A tracker had lost the tip in all six frames."""
     frame = np.arange(6)
     points = 0.05 * np.random.default_rng(3).standard_normal((6, 2))
     trial = make_trial(model, frame, np.full(6, 0.3), points, times=frame / 30)
@@ -171,10 +168,7 @@ def test_all_hypotheses_share_the_growth_that_was_computed_first(prepared, trial
 def test_a_chaotic_trial_is_excluded_with_its_part_of_the_fit(
     prepared, uncertainties_mm, chaotic
 ):
-    """A chaotic trial is excluded with its part of the fit.
-
-    Two other trials must remain.
-    """
+    """Two other trials must remain."""
     uncertainty_m = np.array(uncertainties_mm) / 1e3
     uncertain = replace(prepared, discretisation_uncertainty_m=uncertainty_m)
     kept = exclude_chaotic_trials(uncertain, TOLERANCE_M)
@@ -395,10 +389,7 @@ def test_a_range_is_kept_if_only_the_mesh_correction_costs_evidence(model, prepa
 
 
 def test_the_mesh_correction_predicts_the_error_at_other_parameters(model, trials):
-    """The mesh correction predicts the error at other parameters.
-
-    The yield curvature of friction changes from 0.02 to 0.03 /m.
-    """
+    """The yield curvature of friction changes from 0.02 to 0.03 /m."""
     hypothesis = Hypothesis(model.with_effects(MaxwellSlip))
     truth = TRUTH | {"maxwell_slip.cap": 2e-3, "maxwell_slip.slip": 0.02}
     chi = hypothesis.model.exponents_of_values(truth)

@@ -56,10 +56,7 @@ def refit_stand_in(data, fit, hypothesis):
 def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
     gains, is_accepted, monkeypatch
 ):
-    """A cause is accepted if each trial predicts the other.
-
-    Without it, one trial is explained at the cost of the other.
-    """
+    """Without it, one trial is explained at the cost of the other."""
     parent = SimpleNamespace(
         log_evidence=0.0, log_likelihood_by_trial=np.zeros(2), gains=(0.0, 0.0)
     )
@@ -95,10 +92,7 @@ def test_a_cause_is_accepted_if_each_trial_predicts_the_other(
 def test_one_trial_does_not_decide_which_causes_are_set_aside(
     gains, remaining, monkeypatch
 ):
-    """One trial does not decide which causes are removed.
-
-    One chaotic trial is predicted badly: its log-likelihood falls by 23,000.
-    """
+    """One chaotic trial is predicted badly: its log-likelihood falls by 23,000."""
     wind = SimpleNamespace(name="wind")
     trials = [SimpleNamespace(name=f"t{k}") for k in range(5)]
     prepared = SimpleNamespace(data=SimpleNamespace(trials=trials))

@@ -42,10 +42,7 @@ def simulate_curved_strings(arm, hypothesis, offsets):
 
 
 def test_curvatures_that_vary_are_estimated_with_their_mean(arm, hypothesis):
-    """Curvatures that vary are estimated with their mean.
-
-    The mean is as accurate as four trials can determine it.
-    """
+    """The mean is as accurate as four trials can determine it."""
     offsets = np.array([0.6, -0.5, 0.3, -0.4])
     data, plain = simulate_curved_strings(arm, hypothesis, offsets)
     assert data.between_trial_tip_rms("rest_curvature") > 0

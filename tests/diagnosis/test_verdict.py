@@ -167,10 +167,7 @@ def test_look_alikes_are_grouped():
 
 
 def test_causes_are_named_before_they_are_confirmed():
-    """Causes are named before they are confirmed.
-
-    Held-out trials are searched only if no cause is named in the others.
-    """
+    """Held-out trials are searched only if no cause is named in the others."""
     assert name_causes(replace(FOUND, trials=1), CRITERIA).causes == ("wind",)
 
 

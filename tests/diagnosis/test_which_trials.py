@@ -35,10 +35,7 @@ from stringcast.stages.model.library import effects_by_name
 def test_a_trial_that_is_resolved_only_with_causes_is_used(
     uncertainty_m, kept_each_time, rejected, monkeypatch
 ):
-    """A trial that is resolved only with causes is searched, too.
-
-    The third trial is chaotic without a cause; with one, its uncertainty is given [m].
-    """
+    """The third trial is chaotic without a cause; its uncertainty with one is given."""
     kept = []
 
     def prepare(model, observations, tolerance_m, rng, starts, progress, step, keep):

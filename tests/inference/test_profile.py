@@ -47,7 +47,6 @@ def reaches(bend, indices=(0, 1)):
 
 
 def test_intervals_of_a_straight_valley_are_those_of_a_normal_posterior():
-    """In a straight valley, the intervals are those of a normal posterior."""
     deviations = np.array([ALONG, np.hypot(ALONG, ACROSS)])
     expected = HALF_WIDTH * np.stack([deviations, deviations], axis=1)
     assert reaches(0.0) == pytest.approx(expected, rel=1e-6)

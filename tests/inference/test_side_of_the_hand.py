@@ -67,10 +67,7 @@ def observed(model, values, side, lean, places):
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize("lean", [-0.1, 0.0, 0.1])
 def test_a_trial_at_rest_is_on_the_side_of_its_first_frames(model, where, lean):
-    """A string at rest is on the side of its first frames.
-
-    This holds for a single trial and together with one on the other side.
-    """
+    """A trial may be alone or together with one on the other side."""
     values = model.values(NAMED)[None]
     trials = [
         prepare_trial(model, observed(model, values, side, lean, PLACES[where]))

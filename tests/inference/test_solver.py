@@ -67,11 +67,7 @@ class Torn(Decay):
 
 
 def test_the_minimum_of_a_curved_valley_is_reached_from_all_starts():
-    """The minimum of a curved valley is reached from all starts.
-
-    SciPy's trust region, with steps in exponents, has not reached it after as many
-    evaluations of the slopes.
-    """
+    """With as many slopes, SciPy's trust region in exponents does not reach it."""
     starts = np.random.default_rng(0).uniform(0.05, 0.95, (8, 2))
     problem = Decay()
     fits = fit_least_squares(problem, starts, 40)

@@ -13,10 +13,7 @@ from stringcast.stages.inference.whitening import IndependentErrors, LowRankWhit
 
 
 def test_whitened_noise_is_white():
-    """Whitened noise is white.
-
-    V = 1 + U U' has almost equal columns: W V W' = 1, and W = V^(-1/2).
-    """
+    """V = 1 + U U' has almost equal columns: W V W' = 1, and W = V^(-1/2)."""
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((30, 4)) * [10.0, 1.0, 0.1, 3.0]
     columns[:, 3] = columns[:, 0] + 1e-9 * columns[:, 3]
