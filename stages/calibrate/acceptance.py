@@ -23,7 +23,7 @@ class CalibrationThresholds:
     spread: float
     coverage: float
     rms: float
-    astray: float
+    outlier_ratio: float
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def _view_fault(
         )
     errors = solution.held_out_rms
     worst, median = int(np.argmax(errors)), float(np.median(errors))
-    if not errors[worst] <= max(thresholds.astray * median, thresholds.rms):
+    if not errors[worst] <= max(thresholds.outlier_ratio * median, thresholds.rms):
         return (
             f"view {views[worst].number} does not fit the others: {errors[worst]:.2f} "
             f"px, the median is {median:.2f}. Leave it out, or take it again with "

@@ -69,7 +69,7 @@ def calibrate(
     spread: Annotated[float, Field(gt=0)],
     coverage: Annotated[float, Field(gt=0, le=1)],
     rms: Annotated[float, Field(gt=0)],
-    astray: Annotated[float, Field(gt=1)],
+    outlier_ratio: Annotated[float, Field(gt=1)],
     progress: Progress = lambda share: None,
 ) -> Calibration:
     """Calibrate a camera with pictures of a board.
@@ -95,7 +95,7 @@ def calibrate(
         Smallest share of the picture in which corners were seen.
     rms
         Largest reprojection error [px].
-    astray
+    outlier_ratio
         Largest error of a view relative to the median.
     progress
         Called with the share done.
@@ -136,7 +136,7 @@ def calibrate(
         ),
         (width, height),
     )
-    thresholds = CalibrationThresholds(views, spread, coverage, rms, astray)
+    thresholds = CalibrationThresholds(views, spread, coverage, rms, outlier_ratio)
     reason = rejection_reason(solution, thresholds)
     return calibration_tables(solution, all_views, reason)
 

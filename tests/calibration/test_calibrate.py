@@ -33,7 +33,7 @@ THRESHOLDS = {
     "spread": 0.5,
     "coverage": 0.6,
     "rms": 0.5,
-    "astray": 3.0,
+    "outlier_ratio": 3.0,
 }
 FLAT_POSE = pose(0.03, -0.05, 0.04, 0.0, 0.05, 0.42)
 
