@@ -1,4 +1,4 @@
-"""Emulated devices, a driver and a movement that the driver tests share."""
+"""Shared parts of the driver tests: emulated devices, a driver and a movement."""
 
 import json
 import subprocess
@@ -26,8 +26,7 @@ ARM = Arm(
     0.005,
 )
 WORKSPACE = Workspace((-0.6, -0.6), (0.6, 0.6))
-# A busy machine must not fail the tests: budgets for time are wide, and so is the
-# device's watchdog (`emulator`).
+# Time budgets and the watchdog (`emulator`) are wide, as test machines are busy.
 DRIVING = Driving(
     1.0, 20, 0.1, 0.5, 3.0, approach=2.0, settle=0.0, priority=0, workspace=WORKSPACE
 )
@@ -60,7 +59,7 @@ def emulator(
     command=(sys.executable, "-m", "stringcast.hardware.serial.emulator"),
     watchdog=WATCHDOG,
 ):
-    """Serve an emulated device within the block and return the name of its port."""
+    """Serve an emulated device within the block and yield the name of its port."""
     patience = ["--watchdog", str(round(watchdog * 1e3))] if watchdog else []
     whole = [*command, "--log", str(log), "--until", "60", *patience, *options]
     process = subprocess.Popen(whole, stdout=subprocess.PIPE, text=True)
@@ -73,17 +72,16 @@ def emulator(
 
 
 def events(log):
-    """Read the events that the firmware recorded, oldest first."""
+    """Read the recorded events of the firmware, oldest first."""
     return [
         json.loads(line) for line in log.read_text().splitlines() if line.endswith("}")
     ]
 
 
 def standstill(log, since, within=5.0):
-    """Wait until the arm stands still.
+    """Wait until the arm is at rest.
 
-    Returns seconds on the device's clock since the first event named `since`, or None
-    if the arm never stands still.
+    Returns seconds of device time since the first event `since`, or None.
     """
     end = time.monotonic() + within
     while time.monotonic() < end:

@@ -1,4 +1,4 @@
-"""A capture device that films its own clock, with faults on request."""
+"""A fake capture device that films its own clock, with optional faults."""
 
 import time
 
@@ -11,13 +11,11 @@ from stringcast.hardware.camera.device import MAX_BUFFERED_FRAMES
 class Sensor:
     """A replacement of cv2.VideoCapture; frame k is exposed at `begun` + k / fps.
 
-    `lost` holds numbers that are never delivered, `again` numbers replaced by the frame
-    before, and `held` the delay of a number [s]. `dies` is the first number that does
-    not come. `stamps` says whether times of exposure are reported. `ignored` holds
-    properties that stay as they are when set, `dumb` those that refuse it. `size` is
-    (width, height), whatever is requested. `quiet` leaves out the noise. `decoding`
-    gives the time to decode a frame of a number [s]. `damaged` holds numbers that
-    cannot be decoded.
+    lost: frames that are never delivered. again: frames replaced by the previous one.
+    held: delay by frame [s]. dies: first missing frame. stamps: whether exposure times
+    are reported. ignored, dumb: properties that keep their value or refuse to be set.
+    size: (width, height), independent of the request. quiet: no noise. decoding:
+    decoding time by frame [s]. damaged: undecodable frames.
     """
 
     def __init__(
@@ -39,7 +37,7 @@ class Sensor:
         self.next = 0
         self.seen = None
         self.released = False
-        # first number of the film, from which tests number frames
+        # first frame of the film; tests count from it
         self.counting_from = None
         self.decoding, self.damaged = lambda number: 0.0, set()
 
@@ -63,10 +61,7 @@ class Sensor:
         return 0.0 if key in self.dumb else self.properties.get(key, 0.0)
 
     def film(self):
-        """Start a film.
-
-        Numbers in `lost`, `again`, `held` and `dies` count from the next kept frame.
-        """
+        """Start a film; frames in `lost`, `again`, `held` and `dies` count from now."""
         self.next = int((time.monotonic() - self.begun) * self.fps) + 1
         self.counting_from = self.next + MAX_BUFFERED_FRAMES
 
@@ -75,7 +70,7 @@ class Sensor:
 
     def grab(self):
         now = int((time.monotonic() - self.begun) * self.fps)
-        self.next = max(self.next, now - 3)  # a driver holds four frames
+        self.next = max(self.next, now - 3)  # a driver buffers four frames
         number = self.next
         of_film = None if self.counting_from is None else number - self.counting_from
         while of_film in self.lost:
@@ -99,7 +94,7 @@ class Sensor:
         return True, self.seen.copy()
 
     def picture(self, number):
-        """Return noise with the number in the first eight pixels of two rows."""
+        """Return noise with the frame number encoded in two rows."""
         image = np.full((*self.size[::-1], 3), 100, np.uint8)
         if not self.quiet:
             image += self.rng.integers(0, 20, image.shape, dtype=np.uint8)

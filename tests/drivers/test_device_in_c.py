@@ -1,7 +1,7 @@
-"""The firmware in C gives the answers of the Python firmware.
+"""The firmware in C agrees with the Python firmware.
 
-Golden frames and fuzzed bytes go to both, and the real driver drives the C device over
-a pseudo-terminal.
+Both get golden frames and fuzzed bytes; the real driver moves the C device over a
+pseudo-terminal.
 """
 
 import random
@@ -34,13 +34,13 @@ STRICT = [
     "-Wconversion",
     "-Werror",
 ]
-# Memory accesses are checked where the compiler supports it.
-WATCHED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+# with checked memory accesses, if the compiler supports it
+SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 
 @pytest.fixture(scope="module")
-def built(tmp_path_factory):
-    """Compile the device with one of its two mains; return the program's path."""
+def build_device(tmp_path_factory):
+    """Return a function that compiles the device with one of its two mains."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -51,18 +51,18 @@ def built(tmp_path_factory):
         sources = [str(FOLDER / f"{main}.c"), str(FOLDER / "stringcast.c"), "-lm"]
         if not program.exists():
             command = [compiler, *STRICT, "-o", program, *sources]
-            watched = subprocess.run(
-                [*command, *WATCHED], check=False, capture_output=True
+            result = subprocess.run(
+                [*command, *SANITIZED], check=False, capture_output=True
             )
-            if watched.returncode:
+            if result.returncode:
                 subprocess.run(command, check=True)
         return program
 
     return build
 
 
-def in_python(data):
-    """Answer as pipe.c does: a byte at a time, with 1 ms after every delimiter."""
+def answers_in_python(data):
+    """Answer like pipe.c: byte by byte, with 1 ms after every delimiter."""
     firmware, out, now = Firmware(), b"", 0
     for byte in data:
         firmware.tick(now)
@@ -71,7 +71,7 @@ def in_python(data):
     return out
 
 
-def in_c(program, data):
+def answers_in_c(program, data):
     return subprocess.run(
         [program], input=data, capture_output=True, check=True, timeout=20
     ).stdout
@@ -85,21 +85,21 @@ def golden():
     )
 
 
-def test_python_holds_the_golden_conversation():
+def test_python_firmware_answers_the_golden_conversation():
     said, answered = golden()
     assert encode_command(Command(FrameKind.VELOCITY, 65535, (1.5, -2.25, 0.0))) in said
-    assert in_python(said) == answered
+    assert answers_in_python(said) == answered
 
 
-def test_c_holds_the_golden_conversation(built):
+def test_c_firmware_answers_the_golden_conversation(build_device):
     said, answered = golden()
-    assert in_c(built("pipe"), said) == answered
+    assert answers_in_c(build_device("pipe"), said) == answered
 
 
 def fuzz(rng):
-    """Make whole commands of every kind among torn, flipped, overlong and random ones.
+    """Make torn, flipped, overlong and random frames among valid commands.
 
-    The whole ones make sure that all states are reached.
+    The valid commands reach all states.
     """
     sequence = 0
     stream = encode_command(Command(FrameKind.HELLO, 0, (PROTOCOL_VERSION,)))
@@ -150,11 +150,11 @@ def fuzz(rng):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
+def test_c_and_python_answer_fuzzed_bytes_equally(build_device, seed):
     stream = fuzz(random.Random(seed))
-    answered = in_python(stream)
-    assert in_c(built("pipe"), stream) == answered
-    assert len(answered) > 1000  # the device answered
+    answered = answers_in_python(stream)
+    assert answers_in_c(build_device("pipe"), stream) == answered
+    assert len(answered) > 1000  # the device did answer
 
 
 @pytest.mark.parametrize(
@@ -168,8 +168,8 @@ def test_c_answers_fuzzed_bytes_as_python_does(built, seed):
         ("patience < device->watchdog_ms ? patience : device->watchdog_ms", "patience"),
     ],
 )
-def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
-    """Without checksum, a limit or the watchdog, fuzzed bytes give other answers."""
+def test_fuzzed_bytes_expose_a_wrong_firmware(tmp_path, right, wrong):
+    """Without checksum, limit or watchdog, the answers differ."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -184,14 +184,15 @@ def test_a_device_that_is_wrong_is_found_out(tmp_path, right, wrong):
     )
     streams = [fuzz(random.Random(seed)) for seed in range(20)]
     assert any(
-        in_c(tmp_path / "pipe", stream) != in_python(stream) for stream in streams
+        answers_in_c(tmp_path / "pipe", stream) != answers_in_python(stream)
+        for stream in streams
     )
 
 
 @pytest.fixture
-def port(built):
+def port(build_device):
     process = subprocess.Popen(
-        [built("posix"), "250", "30"], stdout=subprocess.PIPE, text=True
+        [build_device("posix"), "250", "30"], stdout=subprocess.PIPE, text=True
     )
     yield process.stdout.readline().strip()
     process.kill()
@@ -199,15 +200,15 @@ def port(built):
     process.stdout.close()
 
 
-def test_the_real_driver_moves_the_device_in_c(port):
+def test_real_driver_moves_the_c_device(port):
     with driver(port) as arm:
         performance = arm.perform(movement())
         np.testing.assert_allclose(arm.angles(), [0.5, -0.4, 0.6], atol=0.1)
     assert performance.ticks["t_acknowledged"].notna().mean() > 0.5
 
 
-def held(wire, number, within=5.0):
-    """Return why the device did not follow a command, as its answer says."""
+def hold_reason_of(wire, number, within=5.0):
+    """Return the reason in the device's answer why it ignored a command."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         for answer in wire.answers():
@@ -217,7 +218,7 @@ def held(wire, number, within=5.0):
     return None
 
 
-def test_the_device_in_c_stands_when_its_host_falls_silent_and_must_be_greeted_again(
+def test_c_device_stops_without_its_host_until_a_new_greeting(
     port,
 ):
     with driver(port) as arm:
@@ -226,7 +227,7 @@ def test_the_device_in_c_stands_when_its_host_falls_silent_and_must_be_greeted_a
         there = arm.angles()
         assert there[0] > 0
         number, _ = arm.wire.send(np.array([0.5, 0.0, 0.0]))
-        assert "watchdog" in held(arm.wire, number)
+        assert "watchdog" in hold_reason_of(arm.wire, number)
         np.testing.assert_array_equal(arm.angles(), there)
     with driver(port) as arm:
         arm.wire.latch()

@@ -1,4 +1,4 @@
-"""The Dynamixel driver against an emulated bus, through the maker's own library."""
+"""The Dynamixel driver with an emulated bus and the maker's library."""
 
 import math
 import os
@@ -51,7 +51,7 @@ SERVOS = (
     ServoSettings(3, 2048, 1),
 )
 EMULATOR = (sys.executable, "-m", "stringcast.hardware.dynamixel.emulator")
-PATIENCE = 15  # 0.3 s, so that a busy machine does not trip it
+PATIENCE = 15  # 0.3 s, for busy machines
 SWINGS_OUT = 0.15
 
 
@@ -69,12 +69,8 @@ def bus(log, *options):
     return emulator(log, *options, command=EMULATOR, watchdog=None)
 
 
-def test_packets_are_those_of_the_makers_library():
-    """Packets are those of the maker's library.
-
-    The library computes CRC and stuffing by tables; our driver computes them bit by
-    bit.
-    """
+def test_packets_equal_those_of_the_makers_library():
+    """The library computes CRC and stuffing by tables; the emulator bit by bit."""
     library = sdk.Protocol2PacketHandler()
     rng = np.random.default_rng(0)
     for size in (1, 10, 60):
@@ -111,13 +107,13 @@ def test_packets_are_those_of_the_makers_library():
     )
 
 
-def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
+def test_movement_is_performed_and_logged_tick_by_tick(log):
     with bus(log) as port:
         with driver(port) as arm:
             performance = arm.perform(movement())
             ended = arm.angles()
         assert standstill(log, "moves") is not None
-        # the second servo is mounted the other way round
+        # the second servo is mounted in reverse
         assert events(log)[-1]["angles"][1] > 0.3
     ticks = TICKS.check(performance.ticks)
     LINK.check(performance.link)
@@ -127,12 +123,12 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     np.testing.assert_allclose(
         sent / VELOCITY_UNIT, np.rint(sent / VELOCITY_UNIT), atol=1e-9
     )
-    # Speeds are rounded to 0.024 rad/s, but add up to the requested displacement.
+    # speeds are rounded to 0.024 rad/s, but the displacement is exact
     assert np.abs(np.cumsum(sent - asked, axis=0)).max() <= VELOCITY_UNIT / 2 + 1e-9
     assert performance.arm["t"].is_monotonic_increasing
 
 
-def test_the_torque_is_off_after_the_last_word(log):
+def test_torque_is_off_after_closing(log):
     with bus(log) as port:
         with driver(port) as arm:
             arm.move_to([0.1, 0.1, 0.1])
@@ -143,7 +139,7 @@ def test_the_torque_is_off_after_the_last_word(log):
         plain.close()
 
 
-def test_a_lost_velocity_is_survived(log):
+def test_lost_velocity_is_tolerated(log):
     with bus(log, "--fault", "drop:30") as port, driver(port) as arm:
         np.testing.assert_allclose(
             arm.perform(movement()).arm.iloc[-1][["q1", "q3"]], [0.5, 0.6], atol=0.15
@@ -151,7 +147,7 @@ def test_a_lost_velocity_is_survived(log):
 
 
 @pytest.mark.parametrize("kind", ["freeze", "unplug", "brownout"])
-def test_a_fault_of_the_bus_ends_with_the_arm_at_rest_and_one_error(log, kind):
+def test_bus_fault_stops_the_arm_with_one_error(log, kind):
     with bus(log, "--fault", f"{kind}:40") as port:
         said = r"watchdog|restarted|no answer|link is gone|do not answer"
         with pytest.raises(HardwareError, match=said), driver(port) as arm:
@@ -161,12 +157,12 @@ def test_a_fault_of_the_bus_ends_with_the_arm_at_rest_and_one_error(log, kind):
     assert took < PATIENCE * 0.02 + SWINGS_OUT
 
 
-class Interrupted(VelocityArm):
-    """A driver that the user interrupts in mid-movement."""
+class InterruptedArm(VelocityArm):
+    """A driver that is interrupted in mid-movement."""
 
     @property
     def latch_reason(self):
-        """The reason to stop, which is read before each velocity."""
+        """The reason to stop, read before each velocity."""
         if self.is_moving and self.wire.command_number > 20:
             raise KeyboardInterrupt
         return self.why
@@ -176,15 +172,15 @@ class Interrupted(VelocityArm):
         self.why = why
 
 
-def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
+def test_emergency_stop_latches_the_servos_until_cleared(log):
     with bus(log) as port:
         with (
             pytest.raises(KeyboardInterrupt),
-            Interrupted(ARM, driver(port).wire, DRIVING) as arm,
+            InterruptedArm(ARM, driver(port).wire, DRIVING) as arm,
         ):
             arm.perform(movement())
         assert "tripped" in {e["event"] for e in events(log)}
-        for _ in range(2):  # a refusal must not clear the latch when it exits
+        for _ in range(2):  # a refusal must not clear the latch
             with (
                 pytest.raises(
                     HardwareError, match=r"latched.*hardware\.dynamixel\.clear .* 1 2 3"
@@ -208,7 +204,7 @@ def test_an_emergency_stop_is_the_servos_own_latch_until_it_is_cleared(log):
             arm.move_to([0.1, 0.0, 0.0])
 
 
-def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
+def test_missing_commands_trip_the_watchdogs(log):
     with bus(log) as port, driver(port, patience=2) as arm:
         arm.wire.send(np.array([0.5, 0.0, 0.0]))
         arm.wire.answers()
@@ -232,7 +228,7 @@ def test_silence_trips_the_watchdogs_and_the_driver_is_told(log):
         ({"fastest": (100.0,) * 3}, r"60\.\d+ rad/s at most .*, arm\.speed is 100"),
     ],
 )
-def test_what_is_wrong_with_the_servos_is_one_clear_error(log, changed, words):
+def test_unsuitable_servos_give_one_clear_error(log, changed, words):
     with (
         bus(log) as port,
         pytest.raises(HardwareError, match=words),
@@ -267,10 +263,10 @@ def serve_servos(servos):
 
 
 @dataclass
-class Deaf(Emulated):
-    """A servo that acknowledges writes to some registers and keeps the old value.
+class DeafServo(Emulated):
+    """A servo that acknowledges some writes without storing the value.
 
-    `written` holds addresses, in order.
+    written: addresses in order.
     """
 
     keeps: tuple[int, ...] = ()
@@ -298,8 +294,8 @@ def slow(port):
     )
 
 
-def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once():
-    servos = {i: Deaf() for i in (1, 2, 3)}
+def test_all_servos_get_the_limits_and_the_permanent_one_once():
+    servos = {i: DeafServo() for i in (1, 2, 3)}
     with serve_servos(servos) as port:
         for _ in range(2):
             with slow(port):
@@ -323,17 +319,17 @@ def test_every_servo_is_told_the_arms_limits_and_the_lasting_one_is_written_once
 @pytest.mark.parametrize(
     "register", [VELOCITY_LIMIT, PROFILE_ACCELERATION, OPERATING_MODE]
 )
-def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything_moves(
+def test_servo_that_keeps_an_old_value_is_refused_before_a_movement(
     register,
 ):
-    servos = {1: Deaf(), 2: Deaf(keeps=(register.address,)), 3: Deaf()}
+    servos = {1: DeafServo(), 2: DeafServo(keeps=(register.address,)), 3: DeafServo()}
     with serve_servos(servos) as port:
         with pytest.raises(
             HardwareError,
             match=rf"servo 2 holds \d+ in register {register.address} where \d+ was",
         ):
             slow(port).__enter__()
-        until = time.monotonic() + 5.0  # the last commands are not answered
+        until = time.monotonic() + 5.0  # the last commands have no answer
         while (
             any(servo.get(TORQUE_ENABLE) for servo in servos.values())
             and time.monotonic() < until
@@ -346,8 +342,8 @@ def test_a_servo_that_does_not_hold_what_it_was_asked_is_refused_before_anything
     assert all(servo.joint.angle == 0.0 for servo in servos.values())
 
 
-def test_a_servo_that_takes_accelerations_as_times_is_refused():
-    servos = {i: Deaf() for i in (1, 2, 3)}
+def test_servo_with_time_based_profile_is_refused():
+    servos = {i: DeafServo() for i in (1, 2, 3)}
     servos[3].set(DRIVE_MODE, 4)
     with (
         serve_servos(servos) as port,
@@ -357,15 +353,15 @@ def test_a_servo_that_takes_accelerations_as_times_is_refused():
     assert PROFILE_ACCELERATION.address not in servos[3].written
 
 
-def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before_limits_are_set():
-    servos = {i: Deaf() for i in (1, 2, 3)}
+def test_velocities_are_clamped_and_none_is_sent_before_limits():
+    servos = {i: DeafServo() for i in (1, 2, 3)}
     with serve_servos(servos) as port:
         plain = DynamixelBus(port, 1_000_000, SERVOS, SLOW.speed, 0.2, PATIENCE)
         plain.open()
         assert plain.send(np.full(3, 1.0))[1].tolist() == [0.0, 0.0, 0.0]
         plain.set_limits(SLOW)
         _, carried = plain.send(np.array([1e6, -1e6, 1.0]))
-        plain.answers()  # servos that answer have read the command
+        plain.answers()  # answering servos have read the command
         told = [servo.get(GOAL_VELOCITY) for servo in servos.values()]
         plain.close()
     assert told == [
@@ -376,11 +372,8 @@ def test_velocities_beyond_the_limit_never_reach_a_servo_and_nothing_does_before
     np.testing.assert_allclose(carried, np.array(told) * VELOCITY_UNIT * [1, -1, 1])
 
 
-def test_the_device_keeps_its_limits_against_any_bytes():
-    """The device keeps its limits against any bytes.
-
-    The servo refuses goals beyond its limit and approaches others by its profile.
-    """
+def test_servos_enforce_their_limits():
+    """A servo refuses goals beyond its limit and approaches others by its profile."""
     servo = Emulated()
     for register, value in (
         (OPERATING_MODE, 1),
@@ -411,12 +404,12 @@ def test_the_device_keeps_its_limits_against_any_bytes():
     )
 
 
-def test_no_bus_is_one_clear_error():
+def test_missing_bus_gives_one_clear_error():
     with pytest.raises(HardwareError, match=r"hardware\.port"), driver("/dev/nowhere"):
         pass
 
 
-def test_a_missing_library_is_one_clear_error(monkeypatch, tmp_path):
+def test_missing_library_gives_one_clear_error(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
     with (
         pytest.raises(HardwareError, match="pip install dynamixel-sdk"),

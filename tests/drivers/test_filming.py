@@ -1,4 +1,4 @@
-"""Filming a device that drops, repeats, delays, dies and disobeys."""
+"""Filming with a device that drops, repeats and delays frames, or fails."""
 
 import time
 from types import SimpleNamespace
@@ -23,14 +23,14 @@ from stringcast.stages.check.frames import check_dropped_frames
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.camera import Camera
 
-# a slow camera, because a busy machine is late by some milliseconds
+# a slow camera, as busy machines are late by milliseconds
 CAMERA = Camera(32, 24, 50.0, (16.0, 12.0), 50.0)
 CONTROLS = {"AUTO_EXPOSURE": 1, "EXPOSURE": 10, "GAIN": 2}
 
 
 @pytest.fixture
 def plugged(monkeypatch):
-    """Return a function that connects a sensor and returns the camera filming it."""
+    """Return a function that connects a sensor to a camera."""
 
     def plug(sensor, most_lost=0.02, delay=0.0, **device):
         monkeypatch.setattr(
@@ -45,7 +45,7 @@ def plugged(monkeypatch):
 def film(camera, sensor, seconds=0.8):
     """Film a movement that begins with the film.
 
-    Returns the recording, and the sensor's time of each frame in it.
+    Returns the recording and the true exposure time of each frame.
     """
     with camera:
         sensor.film()
@@ -60,28 +60,23 @@ def film(camera, sensor, seconds=0.8):
 
 
 @pytest.mark.parametrize("stamps", [True, False])
-def test_frames_have_the_times_at_which_they_were_exposed(plugged, stamps):
+def test_frames_have_their_exposure_times(plugged, stamps):
     sensor = Sensor(stamps=stamps)
     made, truth = film(plugged(sensor), sensor)
     assert len(made.t) >= 38
     assert made.fault == ""
-    # Measured on a busy core, where single frames came 5 ms late: below 0.3 ms; the
-    # period is 20 ms.
+    # measured on a busy core with frames 5 ms late: below 0.3 ms at a period of 20 ms
     np.testing.assert_allclose(made.t, truth, atol=2e-3)
     assert made.summary["frames_dropped"] == made.summary["frames_repeated"] == 0
     assert made.summary["fps"] == pytest.approx(50, rel=2e-3)
 
 
-def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
-    """The time of decoding is not part of the exposure times.
-
-    Decoding takes 4 or 12 ms, as with MJPG. Old frames of the driver are dropped
-    although they are slow to decode as well.
-    """
+def test_decoding_time_does_not_shift_exposure_times(plugged):
+    """Decoding takes 4 or 12 ms, as with MJPG, also for dropped old frames."""
     sensor = Sensor()
     sensor.decoding = lambda number: 0.004 + 0.008 * (number % 2)
     with plugged(sensor) as camera:
-        time.sleep(0.2)  # the string settles, and the driver fills its buffers
+        time.sleep(0.2)  # the driver fills its buffers
         begun = time.monotonic()
         camera.start()
         time.sleep(0.6)
@@ -89,13 +84,13 @@ def test_the_time_that_decoding_takes_is_none_of_the_exposures(plugged):
     truth = np.array(
         [sensor.exposed_at(number_in(image)) - begun for image in made.images]
     )
-    assert truth[0] > 0.02  # it was negative where waiting frames were kept
-    # with decoding counted in, the errors were 4 to 12 ms
+    assert truth[0] > 0.02  # negative if buffered frames were kept
+    # including decoding, the errors would be 4 to 12 ms
     np.testing.assert_allclose(made.t, truth, atol=2e-3)
     assert made.fault == ""
 
 
-def test_a_frame_that_cannot_be_decoded_is_one_that_was_dropped(plugged):
+def test_undecodable_frames_count_as_dropped(plugged):
     sensor = Sensor()
     sensor.damaged = {10, 20}
     made, _ = film(plugged(sensor, most_lost=0.1), sensor)
@@ -103,7 +98,7 @@ def test_a_frame_that_cannot_be_decoded_is_one_that_was_dropped(plugged):
     assert made.fault == ""
 
 
-def test_dropped_frames_are_found_and_too_many_refused(plugged):
+def test_dropped_frames_are_found_and_too_many_are_refused(plugged):
     lost = {10, 11, 20, 25, 30, 31, 32}
     sensor = Sensor(lost=lost)
     made, _ = film(plugged(sensor), sensor)
@@ -115,7 +110,7 @@ def test_dropped_frames_are_found_and_too_many_refused(plugged):
     assert film(plugged(sensor, most_lost=0.25), sensor)[0].fault == ""
 
 
-def test_a_frame_given_twice_is_left_out_and_counts_as_lost(plugged):
+def test_repeated_frames_count_as_lost(plugged):
     sensor = Sensor(again={10, 11, 20})
     made, _ = film(plugged(sensor), sensor)
     assert made.summary["frames_repeated"] == made.summary["frames_dropped"] == 3
@@ -125,14 +120,14 @@ def test_a_frame_given_twice_is_left_out_and_counts_as_lost(plugged):
     assert "(3 came twice instead)" in made.fault
 
 
-def test_a_drawn_scene_at_rest_is_not_taken_for_a_camera_that_repeats():
+def test_rendered_scene_at_rest_has_no_repeated_frames():
     still, moved = np.zeros((4, 4), np.uint8), np.ones((4, 4), np.uint8)
     assert not repeated_frames([still] * 6 + [moved, moved], 6).any()
     noisy = [np.full((4, 4), k, np.uint8) for k in range(6)]
     assert repeated_frames([*noisy, moved, moved], 6).sum() == 1
 
 
-def test_a_camera_that_dies_says_when_and_the_film_is_not_trusted(plugged):
+def test_camera_failure_invalidates_the_film(plugged):
     sensor = Sensor(dies=15)
     made, _ = film(plugged(sensor), sensor)
     assert made.fault.startswith("the camera saw nothing after 0.2")
@@ -140,7 +135,7 @@ def test_a_camera_that_dies_says_when_and_the_film_is_not_trusted(plugged):
     assert made.summary["frames_dropped"] >= 24  # in 0.8 s
 
 
-def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_moves(
+def test_camera_without_frames_is_refused_before_a_movement(
     plugged,
 ):
     sensor = Sensor(dies=0)
@@ -153,9 +148,7 @@ def test_a_camera_that_dies_before_the_first_frame_is_refused_before_anything_mo
 
 
 @pytest.mark.parametrize("where", ["grab", "retrieve"])
-def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(
-    plugged, monkeypatch, where
-):
+def test_errors_of_reading_frames_are_reported(plugged, monkeypatch, where):
     sensor = Sensor()
     with plugged(sensor) as camera:
         monkeypatch.setattr(sensor, where, lambda: 1 // 0)
@@ -166,13 +159,8 @@ def test_whatever_goes_wrong_while_a_frame_is_taken_is_told(
     assert sensor.released
 
 
-def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(
-    plugged, monkeypatch
-):
-    """An image that cannot be made grey ends the film with the reason.
-
-    Neither thread may wait forever for the other.
-    """
+def test_failed_conversion_to_grey_ends_the_film(plugged, monkeypatch):
+    """Neither thread may wait for the other."""
     monkeypatch.setattr(filming, "QUEUE_FRAMES", 1)
     sensor = Sensor()
     with plugged(sensor) as camera:
@@ -188,7 +176,7 @@ def test_an_image_that_cannot_be_made_grey_ends_the_film_with_the_reason(
     assert sensor.released
 
 
-def test_a_device_that_hangs_is_let_go_of_once_it_does_not(plugged, monkeypatch):
+def test_hanging_device_is_released_later(plugged, monkeypatch):
     monkeypatch.setattr(filming, "READ_TIMEOUT_S", 0.1)
     sensor = Sensor(held={5: 2.0})
     with plugged(sensor) as camera:
@@ -199,12 +187,12 @@ def test_a_device_that_hangs_is_let_go_of_once_it_does_not(plugged, monkeypatch)
         camera.stop(begun)
         taker = camera.film.threads[0]
     assert taker.is_alive()
-    assert not sensor.released  # the sensor is being read
+    assert not sensor.released  # a read is in progress
     taker.join(3.0)
     assert sensor.released
 
 
-def test_frames_exposed_until_the_end_are_waited_for_but_not_for_ever(plugged):
+def test_last_frames_are_awaited_for_a_limited_time(plugged):
     sensor = Sensor(held=dict.fromkeys(range(1000), 0.06))
     camera = plugged(sensor, delay=0.06)
     with camera:
@@ -219,7 +207,7 @@ def test_frames_exposed_until_the_end_are_waited_for_but_not_for_ever(plugged):
     assert made.summary["frames_dropped"] == 0
 
 
-def test_a_camera_that_hangs_is_not_waited_for(plugged):
+def test_hanging_camera_does_not_block(plugged):
     sensor = Sensor(held={10: 1.5})
     with plugged(sensor) as camera:
         sensor.film()
@@ -231,7 +219,7 @@ def test_a_camera_that_hangs_is_not_waited_for(plugged):
     assert "of the frames were dropped" in made.fault
 
 
-def test_a_host_that_is_too_slow_loses_frames_and_says_so(plugged, monkeypatch):
+def test_slow_host_loses_frames_and_reports_it(plugged, monkeypatch):
     monkeypatch.setattr(filming, "QUEUE_FRAMES", 2)
     monkeypatch.setattr(
         filming, "to_grey", lambda image: time.sleep(0.06) or image[..., 0]
@@ -245,7 +233,7 @@ def test_a_host_that_is_too_slow_loses_frames_and_says_so(plugged, monkeypatch):
 # --- settings of a device
 
 
-def test_controls_are_set_and_read_back(plugged):
+def test_controls_are_set_and_verified(plugged):
     sensor = Sensor()
     with plugged(sensor, controls=CONTROLS) as camera:
         assert camera.stream.remarks == ()
@@ -253,7 +241,7 @@ def test_controls_are_set_and_read_back(plugged):
     assert sensor.properties[cv2.CAP_PROP_FPS] == 50
 
 
-def test_a_camera_that_ignores_its_exposure_is_refused_by_name(plugged):
+def test_ignored_exposure_setting_is_refused(plugged):
     sensor = Sensor()
     sensor.ignored = {cv2.CAP_PROP_EXPOSURE}
     sensor.properties = {cv2.CAP_PROP_EXPOSURE: 156.0}
@@ -265,14 +253,14 @@ def test_a_camera_that_ignores_its_exposure_is_refused_by_name(plugged):
     assert sensor.released
 
 
-def test_a_driver_that_can_report_nothing_is_remarked_upon(plugged):
+def test_unverifiable_controls_give_a_remark(plugged):
     sensor = Sensor()
     sensor.dumb = {cv2.CAP_PROP_EXPOSURE}
     made, _ = film(plugged(sensor, controls=CONTROLS), sensor, 0.3)
     assert made.summary["remarks"] == "the driver can neither set nor report EXPOSURE"
 
 
-def test_exposure_that_is_still_changing_is_remarked_upon(plugged):
+def test_changing_brightness_gives_a_remark(plugged):
     class Brightening(Sensor):
         def picture(self, number):
             return np.clip(super().picture(number) + 0.5 * number, 0, 255).astype(
@@ -305,9 +293,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("kind", REFUSED)
-def test_a_device_that_gives_something_else_is_refused_before_anything_moves(
-    plugged, kind
-):
+def test_device_with_other_frames_is_refused_before_a_movement(plugged, kind):
     sensor, words = REFUSED[kind]
     sensor.film()
     with pytest.raises(HardwareError, match=words):
@@ -315,7 +301,7 @@ def test_a_device_that_gives_something_else_is_refused_before_anything_moves(
     assert sensor.released
 
 
-def test_stills_are_taken_at_intervals_once_a_person_is_ready(plugged):
+def test_stills_are_taken_at_intervals_after_the_user_is_ready(plugged):
     sensor, asked = Sensor(), []
     stills = list(plugged(sensor).source.stills(CAMERA, lambda: asked.append(1)))
     assert asked == [1]
@@ -325,7 +311,7 @@ def test_stills_are_taken_at_intervals_once_a_person_is_ready(plugged):
 # --- files in place of a device
 
 
-def test_a_folder_and_a_video_are_played_at_the_cameras_rate(tmp_path):
+def test_image_folders_and_videos_play_at_the_cameras_rate(tmp_path):
     sensor = Sensor()
     video = cv2.VideoWriter(
         str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (32, 24)
@@ -346,7 +332,7 @@ def test_a_folder_and_a_video_are_played_at_the_cameras_rate(tmp_path):
     assert len(list(source.stills(CAMERA, lambda: None))) == 3
 
 
-def test_a_folder_without_images_and_images_of_another_size_are_refused(tmp_path):
+def test_empty_image_folders_and_wrong_sizes_are_refused(tmp_path):
     with pytest.raises(HardwareError, match=r"no image here.*Name the folder"):
         FilmingCamera(CAMERA, ImageFolder(tmp_path), 0.0).__enter__()
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((10, 20), np.uint8))
@@ -358,17 +344,17 @@ def test_a_folder_without_images_and_images_of_another_size_are_refused(tmp_path
 
 
 def jittered_arrivals(rng, jitter, heavy, lost):
-    """Make numbers and times of 200 frames at 199.4 Hz.
+    """Make numbers and times of 200 frames at 199.4 Hz, with delays and losses.
 
-    They are late at random [periods], some by one and a half, and some are lost.
+    jitter: scale of delays [periods]; some frames are 1.5 periods late.
     """
     n = np.flatnonzero(rng.random(200) >= lost)
     late = rng.exponential(jitter, len(n)) + 1.5 * (rng.random(len(n)) < heavy)
     return n, np.maximum.accumulate(3.0 + (n + late) * 0.005015)
 
 
-# Shares measured with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011. A frame that comes
-# after its lost successor is due cannot be distinguished from it.
+# Measured shares with twenty seeds: 0, 0, 0.0010, 0.0032, 0.011. A frame that arrives
+# after the due time of its lost successor looks like it.
 @pytest.mark.parametrize(
     ("jitter", "heavy", "lost", "wrong"),
     [
@@ -379,7 +365,7 @@ def jittered_arrivals(rng, jitter, heavy, lost):
         (0.2, 0.05, 0.1, 0.025),
     ],
 )
-def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
+def test_frame_numbers_are_recovered_from_jittered_times(jitter, heavy, lost, wrong):
     rng = np.random.default_rng(1)
     missed, total = 0, 0
     for _ in range(10):
@@ -393,11 +379,8 @@ def test_numbers_come_back_from_jittered_times(jitter, heavy, lost, wrong):
     assert missed <= wrong * total
 
 
-def test_a_counter_that_poses_as_a_clock_is_not_believed():
-    """Stamps made of frame numbers and a nominal period are rejected.
-
-    They would hide dropped frames.
-    """
+def test_stamps_made_from_frame_numbers_are_rejected():
+    """Frame numbers times the nominal period would hide dropped frames."""
     t = np.delete(np.arange(100), [30, 31, 32, 33]) * 0.005
     frames = [
         Frame(5.0 + at, (k + 1) * 0.005, np.full((2, 2), k, np.uint8))
@@ -409,11 +392,10 @@ def test_a_counter_that_poses_as_a_clock_is_not_believed():
 
 
 @pytest.mark.parametrize("clock", [np.nan, 100.0])
-def test_late_frames_are_put_where_they_were_exposed(clock):
-    """Late frames are dated to their exposure.
+def test_late_frames_get_their_exposure_times(clock):
+    """Frames arrive 30 ms after their exposure, every fifth 13 ms later.
 
-    Frames come 30 ms after their exposure, every fifth 13 ms later. A late frame is not
-    a lost one. `clock` is that by which the source stamps them, if it does.
+    A late frame is not lost. clock: the clock of the stamps, if any.
     """
     due = np.arange(40) * 0.02
     held = np.where(np.arange(40) % 5 == 3, 0.013, 0.0)
@@ -426,7 +408,7 @@ def test_late_frames_are_put_where_they_were_exposed(clock):
     assert made.fault == ""
 
 
-def test_a_check_of_stored_frames_tells_of_those_that_are_missing():
+def test_check_of_stored_frames_reports_missing_ones():
     t = np.delete(np.arange(100), [30, 31, 60]) * 0.005
     films = {"t01": SimpleNamespace(t=t), "t02": SimpleNamespace(t=t[:20])}
     (finding,) = check_dropped_frames(

@@ -1,4 +1,4 @@
-"""Every option of conf/hardware and conf/execute has valid settings."""
+"""All options of conf/hardware and conf/execute are valid."""
 
 import pytest
 from conftest import ROOT
@@ -20,14 +20,14 @@ def options(group):
 @pytest.mark.parametrize(
     ("group", "option"), [*options("hardware"), *options("execute")]
 )
-def test_an_option_composes_and_its_settings_are_checked(group, option):
+def test_hardware_options_compose_with_valid_settings(group, option):
     settings = resolve_settings(f"{group}={option}")[group]
     assert callable(bind_stage(settings, group, "conf"))
     with pytest.raises(UserError, match="no such setting"):
         bind_stage({**settings, "unheard_of": 1}, group, "conf")
 
 
-def test_a_workspace_inside_out_is_refused_by_name():
+def test_workspace_with_exchanged_corners_is_refused_by_name():
     settings = resolve_settings("hardware=serial")["hardware"]
     settings["driving"]["workspace"]["low"] = [1.0, 1.0]
     with pytest.raises(

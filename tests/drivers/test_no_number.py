@@ -1,4 +1,4 @@
-"""Comparisons of guard and start check fail safe for NaN, without real clocks."""
+"""Guard and start check refuse NaN."""
 
 import math
 from dataclasses import replace
@@ -26,14 +26,14 @@ BAD = [float("nan"), float("inf"), -float("inf")]
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_an_angle_that_is_no_number_is_refused_where_it_is_decoded(bad):
+def test_nan_angles_are_refused_by_the_decoder(bad):
     good = Report(7, 5000, DeviceState.MOVING, (0.1, 0.2, 0.3))
     assert decode_answer(encode_answer(good)[:-1]).sequence == 7
     with pytest.raises(FrameError, match="encoder reports no number"):
         decode_answer(encode_answer(replace(good, angles=(0.1, bad, 0.3)))[:-1])
 
 
-def guarded(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
+def guard_reason(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.device_time[:3] = [0.0, 0.005, 0.010]
     log.angles[1], log.angles[2] = before, angles
@@ -43,18 +43,18 @@ def guarded(angles, astray=0.5, before=(0.0, 0.0, 0.0)):
 
 @pytest.mark.parametrize("joint", range(3))
 @pytest.mark.parametrize("bad", BAD)
-def test_the_guard_stops_for_what_is_no_number(bad, joint):
+def test_guard_stops_for_nan(bad, joint):
     angles = np.zeros(3)
-    assert guarded(angles) == ""
+    assert guard_reason(angles) == ""
     angles[joint] = bad
-    assert guarded(angles) == "an encoder reports no number"
-    assert guarded(np.zeros(3), before=angles).startswith(
+    assert guard_reason(angles) == "an encoder reports no number"
+    assert guard_reason(np.zeros(3), before=angles).startswith(
         f"the encoder of joint {joint + 1} jumped"
     ) or not np.isnan(bad)
-    assert guarded(np.zeros(3), astray=float("nan")) != ""
+    assert guard_reason(np.zeros(3), astray=float("nan")) != ""
 
 
-def test_the_guard_looks_at_the_first_answer_too():
+def test_guard_checks_the_first_answer():
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.device_time[0], log.angles[0], log.last_answered = 0.0, np.nan, 0
     assert (
@@ -64,7 +64,7 @@ def test_the_guard_looks_at_the_first_answer_too():
 
 
 class Wire:
-    """A wire that reports a pose, and must not be sent anything."""
+    """A wire that reports a pose and accepts no command."""
 
     port, watchdog = "here", 0.25
 
@@ -79,7 +79,7 @@ class Wire:
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_no_movement_starts_from_what_is_no_number(bad):
+def test_no_movement_starts_from_nan(bad):
     arm = VelocityArm(ARM, Wire([0.0, bad, 0.0]), DRIVING)
     for begin in (
         lambda: arm.perform(movement()),
@@ -99,7 +99,7 @@ def test_no_movement_starts_from_what_is_no_number(bad):
         {"hand_speed": math.nan},
     ],
 )
-def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
+def test_nan_limit_refuses_all_movements(limits):
     angles = movement()[list(JOINTS)].to_numpy()
     check_movement(ARM, WORKSPACE, angles)
     arm = SimpleNamespace(
@@ -112,18 +112,18 @@ def test_a_limit_that_is_no_number_lets_nothing_pass(limits):
         check_movement(arm, WORKSPACE, angles)
 
 
-def test_a_movement_that_is_no_number_is_refused():
+def test_nan_movement_is_refused():
     with pytest.raises(HardwareError, match="no numbers"):
         check_movement(ARM, WORKSPACE, np.full((3, 3), math.nan))
 
 
-def test_a_workspace_that_is_no_number_is_refused():
+def test_nan_workspace_is_refused():
     with pytest.raises(ValueError, match="below"):
         Workspace((math.nan, -0.4), (0.8, 0.8))
     assert WORKSPACE.is_left_by(np.array([[0.0, math.nan]]))
 
 
-def test_a_link_whose_times_are_no_numbers_is_refused():
+def test_link_with_nan_times_is_refused():
     for driving, watchdog in (
         (replace(DRIVING, round_trip=math.nan), 0.25),
         (DRIVING, math.nan),
@@ -132,7 +132,7 @@ def test_a_link_whose_times_are_no_numbers_is_refused():
             VelocityArm(ARM, Wire([0.0] * 3, watchdog), driving)._test_link()
 
 
-def test_a_tick_that_was_never_sent_counts_as_missed():
+def test_unsent_ticks_count_as_missed():
     log = reserve_log(np.zeros(3), np.zeros((4, 3)), ARM.tick)
     log.sent[:] = log.due
     log.acknowledged[:] = log.due
@@ -145,7 +145,7 @@ def test_a_tick_that_was_never_sent_counts_as_missed():
     assert performance.link["jitter_max"].item() == 0
 
 
-def test_where_an_arm_is_expected_is_the_sum_of_all_velocities_before():
+def test_expected_angles_are_integrated_velocities():
     speeds = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]])
     expected = [[0.5, 0.5, 0.5], [0.505, 0.5, 0.5], [0.505, 0.51, 0.5]]
     np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""Rehearsals move nothing, move slowly, or move an emulator, and update no model."""
+"""Rehearsals: no movement, slow movement, or an emulated arm."""
 
 import subprocess
 from dataclasses import replace
@@ -31,7 +31,7 @@ def bench(arm, camera):
     return VirtualBench(arm, small, specimen("A"), seed=3)
 
 
-def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
+def test_slowed_movement_keeps_its_path():
     whole = swing().commands
     for share in (0.2, 0.37, 0.9):
         slower = slow_commands(whole, share)
@@ -47,7 +47,7 @@ def test_a_slowed_movement_goes_the_same_way_at_the_share_of_the_speed():
         )
 
 
-def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
+def test_slow_run_ends_at_the_same_pose_and_is_invalid(bench):
     trial = slow_run(
         swing(),
         VirtualArm(bench),
@@ -63,7 +63,7 @@ def test_slowly_the_arm_ends_where_it_should_and_the_trial_says_so(bench):
     assert trial.link["reason"].iloc[0] == "dry run at 0.5 of the speed"
 
 
-def test_dry_the_arm_stays_where_it_is_and_the_film_is_whole(bench):
+def test_dry_run_films_an_arm_at_rest(bench):
     bench.pose = np.array(START) + 0.3
     trial = dry_run(
         swing(), VirtualArm(bench), VirtualCamera(bench), before=0.1, after=0.1
@@ -117,7 +117,7 @@ def rehearsal(bench):
     return lab
 
 
-def test_the_emulators_movement_swings_the_virtual_string(rehearsal, emulators):
+def test_emulated_arm_moves_the_virtual_string(rehearsal, emulators):
     lab = rehearsal()
     trial = execute(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
     ended = swing().commands[list(JOINTS)].iloc[-1]
@@ -129,8 +129,8 @@ def test_the_emulators_movement_swings_the_virtual_string(rehearsal, emulators):
     assert emulator.poll() is not None
 
 
-def test_a_real_camera_films_the_emulated_arm(rehearsal, bench, tmp_path):
-    """A camera is rehearsed without a real arm; here it plays images of a folder."""
+def test_real_camera_films_the_emulated_arm(rehearsal, bench, tmp_path):
+    """The camera plays a folder of images."""
     image = np.zeros((bench.camera.height, bench.camera.width), np.uint8)
     for number in range(200):
         image[number % 64] = number
@@ -143,7 +143,7 @@ def test_a_real_camera_films_the_emulated_arm(rehearsal, bench, tmp_path):
     np.testing.assert_allclose(trial.arm[list(JOINTS)].iloc[-1], ended, atol=0.3)
 
 
-def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
+def test_dry_run_sends_only_zero_velocities(rehearsal):
     lab = rehearsal()
     trial = dry_run(swing(), lab.arm, lab.camera, before=0.1, after=0.1)
     assert (trial.ticks[[f"sent{j}" for j in (1, 2, 3)]] == 0).all(axis=None)
@@ -153,9 +153,7 @@ def test_dry_sends_nothing_but_zero_to_the_device(rehearsal):
         dry_run(too_fast, lab.arm, lab.camera, before=0.1, after=0.1)
 
 
-def test_a_fault_in_rehearsal_is_the_error_that_a_real_one_would_be(
-    rehearsal, emulators
-):
+def test_emulated_fault_raises_the_real_error(rehearsal, emulators):
     lab = rehearsal(["brownout:400"])
     with pytest.raises(HardwareError, match=r"restarted|no answer"):
         execute(

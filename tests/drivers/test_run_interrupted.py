@@ -1,7 +1,4 @@
-"""Runs that are interrupted while the arm moves.
-
-The arm stops, and the run can resume.
-"""
+"""Runs that are interrupted during a movement."""
 
 import json
 import os
@@ -51,9 +48,7 @@ def interrupt_command(number, record, *arguments):
     return run.returncode, words
 
 
-def test_a_run_told_to_end_while_the_arm_moves_leaves_it_at_rest_and_goes_on(
-    tmp_path, called
-):
+def test_terminated_run_stops_the_arm_and_can_continue(tmp_path, called):
     record, folder = tmp_path / "record", tmp_path / "a run"
     asked = (*SMALL, f"hydra.run.dir={folder}")
     status, words = interrupt_command(signal.SIGTERM, record, *asked)

@@ -1,4 +1,4 @@
-"""The execute stage with an emulated arm and a film played to the OpenCV camera."""
+"""The stage `execute` with an emulated arm and a played film."""
 
 import time
 from types import SimpleNamespace
@@ -29,7 +29,7 @@ def port(tmp_path):
 
 @pytest.fixture
 def film(tmp_path):
-    """Return eight seconds of film at 100 Hz, each frame with its number in bits."""
+    """Return eight seconds of film at 100 Hz with encoded frame numbers."""
     path = tmp_path / "film.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     for number in range(800):
@@ -45,7 +45,7 @@ def film(tmp_path):
 
 
 def number_in(image):
-    """Decode the number in the bits of a frame of `film`."""
+    """Decode the number of a frame of `film`."""
     cells = image.reshape(3, 16, 4, 16).mean(axis=(1, 3)).ravel() > 100
     return int((cells * 2 ** np.arange(12)).sum())
 
@@ -54,11 +54,11 @@ def motion(duration=0.3):
     return SimpleNamespace(commands=movement(duration), duration=duration)
 
 
-def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
+def test_trial_is_complete_and_on_one_clock(port, film):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     trial = execute(motion(), lab.arm, lab.camera, before=0.1, after=0.1)
     t = trial.frames["t"].to_numpy()
-    # a frame every 10 ms; a busy machine is late with one or two
+    # a frame every 10 ms; busy machines miss one or two
     assert t[0] == pytest.approx(-0.1, abs=0.03)
     assert t[-1] == pytest.approx(0.4, abs=0.03)
     assert np.median(np.diff(t)) == pytest.approx(0.01, abs=1e-3)
@@ -73,17 +73,14 @@ def test_a_trial_comes_back_whole_and_on_one_clock(port, film):
     np.testing.assert_array_equal(
         shown - shown[0], trial.frames["number"] - trial.frames["number"].iloc[0]
     )
-    # late frames have their true times
+    # late frames have true times
     np.testing.assert_allclose(np.diff(t), np.diff(shown) * 0.01, atol=1e-9)
     assert trial.link["frames_dropped"].iloc[0] == 0
     assert trial.link["valid"].iloc[0]
 
 
-def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
-    """The camera learns when the arm began to move.
-
-    Pings and checks between request and motion differ in length.
-    """
+def test_camera_gets_the_start_time_of_the_movement(port, film, monkeypatch):
+    """Pings and checks before the movement take varying times."""
     sent, told = [], []
     send = SerialWire.send
 
@@ -107,17 +104,12 @@ def test_the_camera_is_told_when_the_arm_began_to_move(port, film, monkeypatch):
     lab = open_lab(ARM, CAMERA, seed=0, trial=1, port=port, source=film, **LINK)
     with pytest.raises(HardwareError, match="no frame came during the movement"):
         execute(motion(), lab.arm, Watch(CAMERA, film, 0.0), before=0.1, after=0.1)
-    # less than a tick, even on a busy machine
+    # less than a tick
     assert told[0] == pytest.approx(sent[0], abs=0.004)
 
 
-def test_a_camera_that_dies_on_the_way_leaves_the_arm_at_rest_and_an_invalid_trial(
-    tmp_path, film
-):
-    """A camera that dies on the way leaves an invalid trial and the arm at rest.
-
-    The film ends before the movement does, as when a cable is pulled.
-    """
+def test_camera_failure_during_a_movement_gives_an_invalid_trial(tmp_path, film):
+    """The film ends during the movement, as after pulling a cable."""
     images = film.images()[:30]
 
     class Short(PlayedSource):

@@ -1,7 +1,4 @@
-"""The real driver against a device on a real pseudo-terminal.
-
-The device works well, or has faults.
-"""
+"""The real driver with an emulated device on a pseudo-terminal, also with faults."""
 
 import os
 import random
@@ -22,8 +19,7 @@ from stringcast.hardware.serial.protocol import PROTOCOL_VERSION
 from stringcast.hardware.serial.wire import SerialWire
 from stringcast.stages.execute.interfaces import HardwareError
 
-# Time from the watchdog's last command to standstill, in which the arm swings out.
-# Measured 0.05 s on the device's own clock.
+# [s] from the last command to rest; measured 0.05 s of device time
 SWINGS_OUT = 0.15
 SURVIVED = tuple(
     kind for kind in FAULT_KINDS if kind not in ("freeze", "unplug", "brownout", "jump")
@@ -35,8 +31,8 @@ def log(tmp_path):
     return tmp_path / "events.jsonl"
 
 
-def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
-    # The device's clock and the host's numbers both wrap around during the movement.
+def test_movement_is_performed_and_logged_tick_by_tick(log):
+    # device clock and sequence numbers wrap during the movement
     with emulator(log, "--since", str(2**32 - 200_000)) as port:
         arm = driver(port)
         arm.wire.sequence = 2**16 - 80
@@ -54,21 +50,21 @@ def test_a_movement_arrives_and_is_logged_tick_by_tick(log):
     )
     assert (ticks["t_sent"] >= ticks["t_due"]).all()
     answered = ticks.dropna(subset="t_acknowledged")
-    # frames may arrive together on a busy machine
+    # frames may arrive together
     assert (np.diff(answered["t_device"]) >= 0).all()
     assert np.ptp(answered["t_device"]) < 60.0
     assert performance.arm["t"].is_monotonic_increasing
     assert {"trip_p50", "trip_p99", "trip_max"} <= set(performance.link)
 
 
-def test_move_to_goes_there_slowly(log):
+def test_move_to_is_slow(log):
     with emulator(log) as port, driver(port) as arm:
         arm.move_to([0.3, 0.2, -0.3])
         np.testing.assert_allclose(arm.angles(), [0.3, 0.2, -0.3], atol=0.05)
 
 
 @pytest.mark.parametrize("kind", SURVIVED)
-def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
+def test_single_frame_faults_are_tolerated_and_counted(log, kind):
     frame = random.Random(kind).randrange(60)
     with emulator(log, "--fault", f"{kind}:{frame}") as port:
         with driver(port) as arm:
@@ -81,10 +77,10 @@ def test_a_fault_of_one_frame_is_survived_and_accounted_for(log, kind):
 
 
 @pytest.mark.parametrize("kind", ["freeze", "unplug", "brownout", "jump"])
-def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind):
+def test_device_fault_stops_the_arm_with_one_error(log, kind):
     frame = random.Random(kind).randrange(5, 55)
     said = r"no answer|link is gone|does not answer|restarted|watchdog|jumped"
-    # a slow arm, so that encoders can report only small changes, even after a pause
+    # a slow arm, so that encoder changes stay small even after a pause
     slow = replace(ARM, speed=(3.0,) * 3)
     with emulator(log, "--fault", f"{kind}:{frame}") as port:
         with pytest.raises(HardwareError, match=said), driver(port, slow) as arm:
@@ -94,15 +90,15 @@ def test_a_fault_of_the_device_ends_with_the_arm_at_rest_and_one_error(log, kind
     assert took < WATCHDOG + SWINGS_OUT
 
 
-def test_too_many_late_ticks_make_the_trial_invalid_with_the_reason(log):
+def test_too_many_late_ticks_invalidate_the_trial(log):
     with emulator(log) as port, driver(port, late=1e-9, most_missed=0.0) as arm:
         link = arm.perform(movement()).link.iloc[0]
     assert not link["valid"]
     assert "were late or lost, allowed are 0.0%" in link["reason"]
 
 
-class Pressed(SerialWire):
-    """A wire on which a person presses the emergency stop as soon as the arm moves."""
+class EmergencyStopWire(SerialWire):
+    """A wire that presses the emergency stop when the arm starts to move."""
 
     press_emergency_stop = staticmethod(lambda reason: None)
 
@@ -112,9 +108,9 @@ class Pressed(SerialWire):
         return super().send(speeds)
 
 
-def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
+def test_emergency_stop_latches_host_and_device(log):
     with emulator(log) as port:
-        wire = Pressed(port, 1_000_000)
+        wire = EmergencyStopWire(port, 1_000_000)
         pressed = VelocityArm(ARM, wire, DRIVING)
         wire.press_emergency_stop = pressed.press_emergency_stop
         with (
@@ -140,7 +136,7 @@ def test_the_emergency_stop_is_latched_here_and_in_the_device(log):
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL"])
-def test_killing_the_host_leaves_the_arm_at_rest(log, name):
+def test_killed_host_leaves_the_arm_at_rest(log, name):
     script = (
         "import sys; sys.path.insert(0, 'tests/drivers'); import rig\n"
         "with rig.driver(sys.argv[1]) as arm: arm.perform(rig.movement(3.0))\n"
@@ -163,7 +159,7 @@ def test_killing_the_host_leaves_the_arm_at_rest(log, name):
             assert "tripped" not in {e["event"] for e in events(log)}
 
 
-def test_a_host_of_another_version_is_refused(log, monkeypatch):
+def test_host_of_another_version_is_refused(log, monkeypatch):
     monkeypatch.setattr(
         "stringcast.hardware.serial.wire.PROTOCOL_VERSION", PROTOCOL_VERSION + 1
     )
@@ -177,6 +173,6 @@ def test_a_host_of_another_version_is_refused(log, monkeypatch):
         pass
 
 
-def test_no_device_is_one_clear_error():
+def test_missing_device_gives_one_clear_error():
     with pytest.raises(HardwareError, match=r"hardware.port"), driver("/dev/nowhere"):
         pass

@@ -1,4 +1,4 @@
-"""Frames and state machine of the device, byte by byte, by the test's clock."""
+"""Frames and state machine of the device, with a simulated clock."""
 
 import pytest
 from rig import ARM
@@ -30,7 +30,7 @@ LIMITS = (*(4.0,) * 3, *(300.0,) * 3, 5000, 25)  # [rad/s], [rad/s^2], [us], [ms
 POSE = (0.5, 0.25, -1.0)
 
 
-def tell(firmware, kind, sequence, values=(), micros=0):
+def send_command(firmware, kind, sequence, values=(), micros=0):
     answer = firmware.receive(
         encode_command(Command(kind, sequence, values)), micros, POSE
     )
@@ -40,8 +40,8 @@ def tell(firmware, kind, sequence, values=(), micros=0):
 @pytest.fixture
 def firmware():
     device = Firmware()
-    tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
-    tell(device, FrameKind.LIMITS, 1, LIMITS)
+    send_command(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
+    send_command(device, FrameKind.LIMITS, 1, LIMITS)
     return device
 
 
@@ -49,12 +49,12 @@ def firmware():
     "data",
     [b"", b"\0", b"\0\0", b"abc", bytes(range(256)) * 3, b"\1" * 254, b"\1" * 255],
 )
-def test_stuffing_has_no_zero_and_undoes_itself(data):
+def test_cobs_has_no_zeros_and_is_invertible(data):
     assert 0 not in encode_cobs(data)
     assert decode_cobs(encode_cobs(data)) == data
 
 
-def test_frames_come_back_and_damaged_ones_do_not():
+def test_frames_are_decoded_and_damaged_ones_rejected():
     command = Command(FrameKind.VELOCITY, 513, (1.5, -2.25, 0.0))
     assert decode_command(encode_command(command)[:-1]) == command
     greeting = Greeting(9, PROTOCOL_VERSION, 3, 25, DeviceState.LATCHED)
@@ -71,13 +71,13 @@ def test_frames_come_back_and_damaged_ones_do_not():
 
 
 @pytest.mark.parametrize("length", range(8))
-def test_what_is_shorter_than_kind_sequence_and_checksum_is_no_frame(length):
+def test_too_short_frames_are_rejected(length):
     for decode in (decode_command, decode_answer):
         with pytest.raises(FrameError):
             decode(encode_cobs(b"\x01" * length))
 
 
-def test_the_longest_frame_is_whole_and_what_is_longer_is_dropped():
+def test_longest_frame_is_kept_and_longer_ones_dropped():
     whole = b"\x01" * MAX_FRAME_BYTES
     assert Deframer().frames(whole + b"\0" + whole + b"\x01\0" + whole + b"\0") == [
         whole,
@@ -85,7 +85,7 @@ def test_the_longest_frame_is_whole_and_what_is_longer_is_dropped():
     ]
 
 
-def test_frames_are_cut_wherever_the_bytes_are_torn():
+def test_frames_are_split_independently_of_chunks():
     frames = [
         encode_command(Command(FrameKind.VELOCITY, n, POSE))[:-1] for n in range(3)
     ]
@@ -112,84 +112,88 @@ def test_frames_are_cut_wherever_the_bytes_are_torn():
         (2**15, 0, False),
     ],
 )
-def test_sequence_numbers_go_round(sequence, last, after):
+def test_sequence_numbers_wrap(sequence, last, after):
     assert is_newer(sequence, last) is after
 
 
-def test_the_host_unwraps_the_devices_clock_and_bears_answers_that_change_places():
+def test_host_unwraps_the_device_clock_with_reordered_answers():
     wire = SerialWire("", 0)
     reported = [2**32 - 2000, 2**32 - 1000, 500, 2**32 - 500, 4000]
     times = [wire._unwrap_clock(micros) for micros in reported]
     assert [round((t - times[0]) * 1e6) for t in times] == [0, 1000, 2500, 1500, 6000]
 
 
-def test_a_fresh_device_obeys_no_velocity_before_a_greeting():
+def test_fresh_device_ignores_velocities_before_a_greeting():
     device = Firmware()
-    assert tell(device, FrameKind.VELOCITY, 1, POSE).state is DeviceState.FRESH
+    assert send_command(device, FrameKind.VELOCITY, 1, POSE).state is DeviceState.FRESH
     assert device.target == (0.0, 0.0, 0.0)
 
 
-def test_a_greeting_of_another_version_changes_nothing():
+def test_greeting_of_another_version_changes_nothing():
     device = Firmware()
-    assert tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION + 1,)) == Greeting(
-        1, PROTOCOL_VERSION, 3, 25, DeviceState.FRESH
-    )
+    assert send_command(
+        device, FrameKind.HELLO, 1, (PROTOCOL_VERSION + 1,)
+    ) == Greeting(1, PROTOCOL_VERSION, 3, 25, DeviceState.FRESH)
 
 
-def test_the_watchdog_trips_for_good_also_when_its_clock_goes_round(firmware):
+def test_tripped_watchdog_stays_tripped_across_clock_wraps(firmware):
     start = 2**32 - 10_000
-    tell(firmware, FrameKind.VELOCITY, 2, POSE, start)
+    send_command(firmware, FrameKind.VELOCITY, 2, POSE, start)
     firmware.tick((start + 25_000) % 2**32)
     assert firmware.state is DeviceState.MOVING
     firmware.tick((start + 25_001) % 2**32)
     assert firmware.state is DeviceState.TRIPPED
     assert (
-        tell(firmware, FrameKind.VELOCITY, 3, POSE, 20_000).state is DeviceState.TRIPPED
+        send_command(firmware, FrameKind.VELOCITY, 3, POSE, 20_000).state
+        is DeviceState.TRIPPED
     )
     assert firmware.target == (0.0, 0.0, 0.0)
     assert (
-        tell(firmware, FrameKind.HELLO, 4, (PROTOCOL_VERSION,)).state
+        send_command(firmware, FrameKind.HELLO, 4, (PROTOCOL_VERSION,)).state
         is DeviceState.IDLE
     )
 
 
-def test_a_device_at_rest_has_no_watchdog(firmware):
+def test_watchdog_is_off_at_rest(firmware):
     firmware.tick(10_000_000)
     assert firmware.state is DeviceState.IDLE
 
 
-def test_what_was_overtaken_is_answered_but_not_obeyed(firmware):
-    tell(firmware, FrameKind.VELOCITY, 3, (1.0, 1.0, 1.0))
-    assert tell(firmware, FrameKind.VELOCITY, 2, (2.0, 2.0, 2.0)).sequence == 2
+def test_overtaken_commands_are_answered_but_not_obeyed(firmware):
+    send_command(firmware, FrameKind.VELOCITY, 3, (1.0, 1.0, 1.0))
+    assert send_command(firmware, FrameKind.VELOCITY, 2, (2.0, 2.0, 2.0)).sequence == 2
     assert firmware.target == (1.0, 1.0, 1.0)
-    tell(firmware, FrameKind.STOP, 5)
+    send_command(firmware, FrameKind.STOP, 5)
     assert (
-        tell(firmware, FrameKind.VELOCITY, 4, (2.0, 2.0, 2.0)).state is DeviceState.IDLE
+        send_command(firmware, FrameKind.VELOCITY, 4, (2.0, 2.0, 2.0)).state
+        is DeviceState.IDLE
     )
     assert firmware.target == (0.0, 0.0, 0.0)
 
 
-def test_an_emergency_stop_holds_against_everything_but_clear(firmware):
-    tell(firmware, FrameKind.VELOCITY, 2, POSE)
-    assert tell(firmware, FrameKind.LATCH, 3).state is DeviceState.LATCHED
+def test_latched_device_obeys_only_clear(firmware):
+    send_command(firmware, FrameKind.VELOCITY, 2, POSE)
+    assert send_command(firmware, FrameKind.LATCH, 3).state is DeviceState.LATCHED
     for kind, values in (
         (FrameKind.VELOCITY, POSE),
         (FrameKind.STOP, ()),
         (FrameKind.HELLO, (PROTOCOL_VERSION,)),
         (FrameKind.PING, ()),
     ):
-        assert tell(firmware, kind, 4, values).state is DeviceState.LATCHED
+        assert send_command(firmware, kind, 4, values).state is DeviceState.LATCHED
         assert firmware.target == (0.0, 0.0, 0.0)
-    assert tell(firmware, FrameKind.CLEAR, 5).state is DeviceState.FRESH
-    assert tell(firmware, FrameKind.VELOCITY, 6, POSE).state is DeviceState.FRESH
+    assert send_command(firmware, FrameKind.CLEAR, 5).state is DeviceState.FRESH
     assert (
-        tell(firmware, FrameKind.HELLO, 7, (PROTOCOL_VERSION,)).state
+        send_command(firmware, FrameKind.VELOCITY, 6, POSE).state is DeviceState.FRESH
+    )
+    assert (
+        send_command(firmware, FrameKind.HELLO, 7, (PROTOCOL_VERSION,)).state
         is DeviceState.IDLE
     )
 
 
 @pytest.mark.parametrize("speed", [float("nan"), float("inf")])
-def test_a_speed_that_is_no_number_is_no_command(firmware, speed):
+def test_nan_speed_is_not_a_command(firmware, speed):
     assert (
         firmware.receive(
             encode_command(Command(FrameKind.VELOCITY, 2, (0.0, speed, 0.0))), 0, POSE
@@ -199,7 +203,7 @@ def test_a_speed_that_is_no_number_is_no_command(firmware, speed):
     assert firmware.state is DeviceState.IDLE
 
 
-def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
+def test_slow_adapter_is_refused_with_a_remedy(tmp_path):
     timer = tmp_path / "ttyUSB7" / "latency_timer"
     timer.parent.mkdir()
     timer.write_text("16\n")
@@ -210,19 +214,21 @@ def test_a_slow_adapter_is_refused_with_the_remedy(tmp_path):
 
 
 def send_limits(firmware, *values, sequence=1):
-    return tell(firmware, FrameKind.LIMITS, sequence, values).values
+    return send_command(firmware, FrameKind.LIMITS, sequence, values).values
 
 
-def test_nothing_moves_before_limits_were_set():
+def test_nothing_moves_before_limits_are_set():
     device = Firmware()
-    tell(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
-    assert tell(device, FrameKind.VELOCITY, 2, POSE).state is DeviceState.CLAMPED
+    send_command(device, FrameKind.HELLO, 1, (PROTOCOL_VERSION,))
+    assert (
+        send_command(device, FrameKind.VELOCITY, 2, POSE).state is DeviceState.CLAMPED
+    )
     assert device.target == (0.0, 0.0, 0.0)
-    # limits are not set while the device moves
+    # limits are not accepted during movement
     assert send_limits(device, *LIMITS)[0] == 0.0
-    tell(device, FrameKind.STOP, 3)
+    send_command(device, FrameKind.STOP, 3)
     assert send_limits(device, *LIMITS) == LIMITS
-    assert tell(device, FrameKind.VELOCITY, 4, POSE).state is DeviceState.MOVING
+    assert send_command(device, FrameKind.VELOCITY, 4, POSE).state is DeviceState.MOVING
 
 
 @pytest.mark.parametrize(
@@ -230,14 +236,14 @@ def test_nothing_moves_before_limits_were_set():
     [(-1.0, *LIMITS[1:]), (*LIMITS[:5], -1.0, 5000, 25), (*LIMITS[:7], 0)],
     ids=["speed", "rate", "watchdog"],
 )
-def test_limits_that_are_none_are_not_taken_over(firmware, bad):
+def test_invalid_limits_are_ignored(firmware, bad):
     assert send_limits(firmware, *bad) == LIMITS
 
 
-def test_the_shorter_watchdog_is_in_force(firmware):
+def test_shorter_watchdog_is_in_force(firmware):
     assert send_limits(firmware, *LIMITS[:7], 60)[-1] == 25
     assert send_limits(firmware, *LIMITS[:7], 11)[-1] == 11
-    tell(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0))
+    send_command(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0))
     firmware.tick(11_000)
     assert firmware.state is DeviceState.MOVING
     firmware.tick(11_001)
@@ -245,13 +251,11 @@ def test_the_shorter_watchdog_is_in_force(firmware):
 
 
 @pytest.mark.parametrize("speed", [1e30, -1e30, 4.001])
-def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(
-    firmware, speed
-):
+def test_clamped_speed_is_reported_until_a_stop(firmware, speed):
     sign = 1 if speed > 0 else -1
-    # the limit is 4 rad/s, and 300 rad/s^2 over two ticks allow 3 rad/s a command
+    # limit 4 rad/s; 300 rad/s^2 over two ticks allow 3 rad/s per command
     for number in range(2, 6):
-        state = tell(
+        state = send_command(
             firmware, FrameKind.VELOCITY, number, (speed, 1.0, 0.0), 5000 * number
         ).state
         assert state is DeviceState.CLAMPED
@@ -261,35 +265,37 @@ def test_a_speed_beyond_the_limit_is_cut_and_told_until_the_host_has_stopped(
             0.0,
         )
     assert (
-        tell(firmware, FrameKind.VELOCITY, 6, (sign * 4.0, 1.0, 0.0), 30_000).state
+        send_command(
+            firmware, FrameKind.VELOCITY, 6, (sign * 4.0, 1.0, 0.0), 30_000
+        ).state
         is DeviceState.CLAMPED
     )
-    assert tell(firmware, FrameKind.STOP, 7).state is DeviceState.IDLE
+    assert send_command(firmware, FrameKind.STOP, 7).state is DeviceState.IDLE
     assert (
-        tell(firmware, FrameKind.VELOCITY, 8, (1.0, 1.0, 0.0)).state
+        send_command(firmware, FrameKind.VELOCITY, 8, (1.0, 1.0, 0.0)).state
         is DeviceState.MOVING
     )
 
 
-def test_a_change_that_a_lost_command_explains_is_obeyed(firmware):
-    tell(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0), 0)
+def test_velocity_change_over_a_lost_command_is_obeyed(firmware):
+    send_command(firmware, FrameKind.VELOCITY, 2, (1.0, 0.0, 0.0), 0)
     # 3 rad/s in two ticks
     assert (
-        tell(firmware, FrameKind.VELOCITY, 4, (-2.0, 0.0, 0.0), 5000).state
+        send_command(firmware, FrameKind.VELOCITY, 4, (-2.0, 0.0, 0.0), 5000).state
         is DeviceState.MOVING
     )
     # 6 rad/s in 20 ms
     assert (
-        tell(firmware, FrameKind.VELOCITY, 8, (4.0, 0.0, 0.0), 25_000).state
+        send_command(firmware, FrameKind.VELOCITY, 8, (4.0, 0.0, 0.0), 25_000).state
         is DeviceState.MOVING
     )
     assert (
-        tell(firmware, FrameKind.VELOCITY, 9, (0.9, 0.0, 0.0), 30_000).state
+        send_command(firmware, FrameKind.VELOCITY, 9, (0.9, 0.0, 0.0), 30_000).state
         is DeviceState.CLAMPED
     )
 
 
-def test_a_device_that_does_not_take_the_limits_is_refused(monkeypatch):
+def test_device_with_other_limits_is_refused(monkeypatch):
     wire = SerialWire("port", 0, watchdog=0.025)
     taken = lambda kind, values: LimitsAnswer(1, (*values[:-1], 20))  # noqa: E731
     monkeypatch.setattr(wire, "_exchange", taken)

@@ -1,4 +1,4 @@
-"""The velocity loop on a scripted wire: every reason to stop, and how it stops."""
+"""The velocity loop on a scripted wire: all reasons to stop."""
 
 import gc
 import os
@@ -15,23 +15,23 @@ from stringcast.hardware.arm.record import build_performance
 from stringcast.stages.execute.interfaces import HardwareError
 
 
-class Script:
-    """A wire with a perfect arm, until `spoil` changes an answer (None: lost)."""
+class ScriptedWire:
+    """A wire with a perfect arm; `spoil` changes answers (None: lost)."""
 
     port, watchdog = "script", 0.025
 
     def __init__(self, spoil=lambda answer: answer):
-        self.spoil, self.sent, self.said, self.due = spoil, [], [], []
+        self.spoil, self.sent, self.calls, self.due = spoil, [], [], []
         self.pose = np.zeros(3)
 
     def open(self):
-        self.said.append("open")
+        self.calls.append("open")
 
     def set_limits(self, arm):
         self.limits = arm.speed
 
     def close(self):
-        self.said.append("close")
+        self.calls.append("close")
 
     def angles(self):
         return tuple(self.pose)
@@ -49,17 +49,17 @@ class Script:
         return due
 
     def stop(self):
-        self.said.append("stop")
+        self.calls.append("stop")
 
     def latch(self):
-        self.said.append("latch")
+        self.calls.append("latch")
 
     def clear(self):
-        self.said.append("clear")
+        self.calls.append("clear")
 
 
-def after(number, change):
-    """Return a function that spoils the answers from a number on."""
+def change_answers_from(number, change):
+    """Return a function that changes answers from a number on."""
     return lambda answer: change(answer) if answer.number >= number else answer
 
 
@@ -94,10 +94,8 @@ def driver(wire, **changed):
     ],
     ids=["silence", "held", "jump", "astray"],
 )
-def test_every_reason_to_stop_ends_in_a_ramp_within_the_arms_acceleration(
-    change, reason
-):
-    wire = Script(after(30, change))
+def test_all_reasons_to_stop_ramp_the_arm_to_rest(change, reason):
+    wire = ScriptedWire(change_answers_from(30, change))
     with pytest.raises(HardwareError, match=reason), driver(wire, astray=0.2) as arm:
         arm.perform(movement())
     assert not wire.sent[-1].any()
@@ -106,20 +104,20 @@ def test_every_reason_to_stop_ends_in_a_ramp_within_the_arms_acceleration(
         np.abs(np.diff(wire.sent, axis=0)).max() / ARM.tick
         <= max(ARM.acceleration) * 1.001
     )
-    assert wire.said == ["open", "stop", "stop", "close"]
+    assert wire.calls == ["open", "stop", "stop", "close"]
 
 
-def test_as_many_misses_as_allowed_are_borne_and_then_forgotten():
+def test_allowed_misses_are_tolerated_and_reset():
     lost = {10, 11, 12, 13, 20, 21, 22, 23}
-    wire = Script(lambda answer: None if answer.number in lost else answer)
+    wire = ScriptedWire(lambda answer: None if answer.number in lost else answer)
     with driver(wire) as arm:
         ticks = arm.perform(movement()).ticks
     assert set(ticks.index[ticks["t_acknowledged"].isna()]) == lost
     assert set(ticks.index[ticks["missed"]]) >= lost
 
 
-def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
-    wire = Script(
+def test_encoder_jump_during_a_lost_answer_is_found():
+    wire = ScriptedWire(
         lambda answer: (
             None
             if answer.number == 30
@@ -130,71 +128,65 @@ def test_an_encoder_that_jumps_while_an_answer_is_lost_is_seen_all_the_same():
         arm.perform(movement())
 
 
-def test_the_emergency_stop_sends_nothing_more_but_the_latch():
-    wire = Script()
+def test_emergency_stop_sends_only_the_latch():
+    wire = ScriptedWire()
     arm = driver(wire)
-    wire.spoil = after(
+    wire.spoil = change_answers_from(
         20, lambda answer: (arm.press_emergency_stop("button"), answer)[1]
     )
     with pytest.raises(HardwareError, match=r"emergency stop \(button\)"), arm:
         arm.perform(movement())
     assert len(wire.sent) == 21
-    assert wire.said[1] == "latch"
+    assert wire.calls[1] == "latch"
     with pytest.raises(HardwareError, match="latched by the emergency stop"), arm:
         arm.perform(movement())
     assert len(wire.sent) == 21
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, MemoryError])
-def test_any_exception_on_the_way_latches_stops_and_closes(error):
+def test_exceptions_during_a_movement_latch_stop_and_close(error):
     def fail(answer):
         raise error
 
-    wire = Script(after(20, fail))
+    wire = ScriptedWire(change_answers_from(20, fail))
     with pytest.raises(error), driver(wire) as arm:
         arm.perform(movement())
-    assert wire.said == ["open", "latch", "stop", "close"]
+    assert wire.calls == ["open", "latch", "stop", "close"]
 
 
 @pytest.mark.parametrize("way", ["latch", "stop", "close"])
-def test_a_way_out_that_fails_keeps_none_of_the_others_from_being_taken(way):
-    """A stop method that fails prevents none of the others.
-
-    Afterwards signals have their former handlers.
-    """
+def test_failing_stop_method_does_not_prevent_the_others(way):
+    """Signal handlers are also restored."""
     before = signal.getsignal(signal.SIGINT)
-    wire = Script(after(20, lambda answer: 1 // 0))
-    setattr(wire, way, lambda: (wire.said.append(way), {}["broken"]))
+    wire = ScriptedWire(change_answers_from(20, lambda answer: 1 // 0))
+    setattr(wire, way, lambda: (wire.calls.append(way), {}["broken"]))
     with pytest.raises(KeyError, match="broken"), driver(wire) as arm:
         arm.perform(movement())
-    assert wire.said == ["open", "latch", "stop", "close"]
+    assert wire.calls == ["open", "latch", "stop", "close"]
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_an_exception_at_rest_stops_and_closes_without_a_latch():
-    wire = Script()
+def test_exception_at_rest_stops_and_closes_without_a_latch():
+    wire = ScriptedWire()
     wire.pose = np.ones(3)
     with (
         pytest.raises(HardwareError, match="degrees from the movement's start"),
         driver(wire) as arm,
     ):
         arm.perform(movement())
-    assert wire.said == ["open", "stop", "close"]
+    assert wire.calls == ["open", "stop", "close"]
 
 
 @pytest.mark.parametrize("priority", [0, 10])
-def test_the_loop_leaves_the_process_as_it_found_it(priority):
+def test_loop_restores_process_settings(priority):
     before = os.sched_getscheduler(0), gc.isenabled()
     with real_time_priority(priority):
         assert not gc.isenabled()
     assert (os.sched_getscheduler(0), gc.isenabled()) == before
 
 
-def test_angles_have_the_time_in_the_middle_of_the_quickest_exchanges():
-    """Angles have the time in the middle of the quickest exchanges.
-
-    Every second answer is 6 ms late, and one is lost, which must not shift the clock.
-    """
+def test_angle_times_are_midpoints_of_the_quickest_exchanges():
+    """Late and lost answers must not shift the clock."""
     log = reserve_log(np.zeros(3), np.zeros((40, 3)), 0.005)
     log.sent, log.speeds_sent, log.angles = log.due, log.commanded, np.zeros((40, 3))
     log.device_time = 7.0 + log.sent + 0.001

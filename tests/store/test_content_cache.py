@@ -1,11 +1,11 @@
-"""Results that are kept by the content of what decides them."""
+"""The cache of results by the content of their inputs."""
 
 import numpy as np
 
 from stringcast.stages.content_cache import ContentCache
 
 
-def test_the_last_results_are_made_once_for_equal_arrays():
+def test_cache_returns_recent_results_for_equal_arrays():
     cache = ContentCache(2)
     made = []
 
@@ -18,7 +18,7 @@ def test_the_last_results_are_made_once_for_equal_arrays():
 
     assert [find(1.0, 2.0), find(3.0), find(1.0, 2.0)] == [3.0, 3.0, 3.0]
     assert made == [(1.0, 2.0), (3.0,)]
-    find(4.0)  # (3.0,) was used longest ago
+    find(4.0)  # (3.0,) was least recently used
     find(1.0, 2.0)
     find(3.0)
     assert made == [(1.0, 2.0), (3.0,), (4.0,), (3.0,)]

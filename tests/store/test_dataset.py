@@ -1,4 +1,4 @@
-"""Datasets of others: points, frames or videos, with real-world faults."""
+"""Foreign datasets with points, frames or videos, and typical faults."""
 
 import cv2
 import numpy as np
@@ -38,7 +38,7 @@ def shade(number):
     return np.full((32, 48), 40 + 4 * number, np.uint8)
 
 
-def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
+def test_frames_follow_their_list_in_time_order(tmp_path):
     (tmp_path / "frames" / "a").mkdir(parents=True)
     rows = []
     for number in (2, 0, 1, 3):
@@ -54,11 +54,11 @@ def test_frames_are_those_of_the_list_in_the_order_of_time(tmp_path):
     assert read.trials["a"].points.empty
 
 
-def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
+def test_video_has_filming_times(tmp_path):
     write_tables(tmp_path, {"camera": CAMERA}, grasp=grasp())
     (tmp_path / "videos").mkdir()
     file = str(tmp_path / "videos" / "a.avi")
-    # the film is played four times slower
+    # the film is four times slower
     video = cv2.VideoWriter(file, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (48, 32))
     for number in range(50):
         video.write(cv2.cvtColor(shade(number), cv2.COLOR_GRAY2BGR))
@@ -66,13 +66,13 @@ def test_a_video_has_the_times_at_which_it_was_filmed(tmp_path):
     film = dataset.read_dataset(tmp_path).films["a"]
     np.testing.assert_allclose(film.t, T)
     assert abs(int(film.images[30][5, 5]) - (40 + 120)) <= 3
-    assert abs(int(film.images[7][5, 5]) - (40 + 28)) <= 3  # backwards too
+    assert abs(int(film.images[7][5, 5]) - (40 + 28)) <= 3  # also backwards
     write_tables(tmp_path, {"camera": {k: v for k, v in CAMERA.items() if k != "fps"}})
     with pytest.raises(DataError, match=r"camera\.fps must be there"):
         dataset.read_dataset(tmp_path)
 
 
-def test_dirt_is_left_out_and_trials_that_cannot_be_used_are_named(tmp_path):
+def test_bad_rows_are_dropped_and_unusable_trials_named(tmp_path):
     dirty = pd.concat(
         [points(), points().iloc[:5], points("b", T + 10), points("c")]
     ).sample(frac=1, random_state=1)
@@ -91,7 +91,7 @@ def test_dirt_is_left_out_and_trials_that_cannot_be_used_are_named(tmp_path):
     assert "no measured point" in read.rejection_reasons["d"]
 
 
-def test_a_trial_begins_at_rest_unless_dataset_yaml_says_otherwise(tmp_path):
+def test_trials_begin_at_rest_by_default(tmp_path):
     both = {
         "grasp": pd.concat([grasp(), grasp("b")]),
         "points": pd.concat([points(), points("b")]),

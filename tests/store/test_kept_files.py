@@ -1,4 +1,4 @@
-"""Results that a step has reached are found again, by what decides them."""
+"""Stored intermediate results of steps, found by their inputs."""
 
 import json
 from dataclasses import dataclass, replace
@@ -36,7 +36,7 @@ def files(tmp_path):
     return KeptFiles(tmp_path / ".step.kept", VERSIONS)
 
 
-def test_a_result_comes_back_to_the_bit(files):
+def test_stored_result_is_read_bit_by_bit(files):
     assert files.find("key") is None
     files.keep("key", RESULT)
     for found, given in zip(files.find("key"), RESULT, strict=True):
@@ -48,7 +48,7 @@ def test_a_result_comes_back_to_the_bit(files):
     assert not files.folder.exists()
 
 
-def test_a_result_of_another_version_is_not_found(files):
+def test_results_of_another_version_are_not_found(files):
     files.keep("key", RESULT)
     other = replace(files, versions={**VERSIONS, "code": {"source": "abd"}})
     assert other.find("key") is None
@@ -67,22 +67,22 @@ def test_a_result_of_another_version_is_not_found(files):
         lambda content: b"[" * 100_000,
     ],
 )
-def test_a_damaged_result_is_none(files, damage):
+def test_damaged_result_is_ignored(files, damage):
     files.keep("key", RESULT)
     (file,) = files.folder.iterdir()
     file.write_bytes(damage(file.read_bytes()))
     assert files.find("key") is None
 
 
-def test_a_result_that_hardly_ends_is_not_read(files):
+def test_huge_result_is_not_read(files):
     files.keep("key", RESULT)
     (file,) = files.folder.iterdir()
     with file.open("r+b") as content:
-        content.truncate(2**40)  # sparse: it takes no space
+        content.truncate(2**40)  # sparse file
     assert files.find("key") is None
 
 
-def test_a_call_is_made_once_for_the_same_content(files):
+def test_equal_calls_are_made_once(files):
     calls = []
 
     @keep_results
@@ -92,7 +92,7 @@ def test_a_call_is_made_once_for_the_same_content(files):
 
     double(MASS)
     double(MASS)
-    assert len(calls) == 2  # without a store nothing is kept
+    assert len(calls) == 2  # nothing is stored without a store
     with use_store(files):
         first = double(MASS)
         again = double(Mass(0.5, np.arange(3.0)))
@@ -103,8 +103,8 @@ def test_a_call_is_made_once_for_the_same_content(files):
     assert len(calls) == 5
 
 
-def test_a_long_call_is_remembered_where_no_store_is_in_use(files):
-    """A store that is in use stays in use."""
+def test_long_calls_are_cached_without_a_store(files):
+    """A store in use stays in use."""
     calls = []
 
     @keep_results
@@ -124,7 +124,7 @@ def test_a_long_call_is_remembered_where_no_store_is_in_use(files):
     assert len(calls) == 2
 
 
-def test_other_content_has_another_digest():
+def test_different_content_has_different_digests():
     others = [
         MASS,
         replace(MASS, kg=np.nextafter(0.5, 1)),
@@ -143,15 +143,15 @@ def test_other_content_has_another_digest():
         content_digest(object())
 
 
-def test_the_order_of_names_does_not_count():
+def test_digest_ignores_the_order_of_names():
     digest = content_digest({"a": 1, "b": {"c": 2, "d": 3}})
     assert digest == content_digest({"b": {"d": 3, "c": 2}, "a": 1})
     assert digest != content_digest({"a": 1, "b": {"c": 3, "d": 2}})
     assert digest != content_digest({"b": 1, "a": {"c": 2, "d": 3}})
 
 
-def test_a_resumed_run_asks_for_the_same_results():
-    """`resume` reads its settings sorted by name; all results were made again."""
+def test_resumed_run_finds_stored_results():
+    """`resume` reads its settings sorted by name."""
     settings = resolve_settings("+experiment=diagnose", "trials=data/sample")
     stored = json.loads(json.dumps(settings, sort_keys=True))
     digests = set()

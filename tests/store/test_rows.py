@@ -1,4 +1,4 @@
-"""Unusable rows are excluded and counted; CSV gives the same as Parquet."""
+"""Unusable rows are dropped and counted; CSV equals Parquet."""
 
 import numpy as np
 import pandas as pd
@@ -39,7 +39,7 @@ def points():
 
 @pytest.fixture
 def read_changed(tmp_path):
-    """Write a dataset as CSV, its text changed, and read it."""
+    """Return a function that writes a changed dataset as CSV and reads it."""
 
     def read(seen=None, moved=None, text=lambda text: text):
         (arm() if moved is None else moved).to_csv(tmp_path / "arm.csv", index=False)
@@ -51,7 +51,7 @@ def read_changed(tmp_path):
     return read
 
 
-def spoilt(column, value, rows=(3, 7)):
+def with_value(column, value, rows=(3, 7)):
     seen = points()
     seen[column] = seen[column].astype(object)
     seen.loc[list(rows), column] = value
@@ -70,16 +70,14 @@ def spoilt(column, value, rows=(3, 7)):
         ("sigma", np.nan, "sigma is not a number above 0"),
     ],
 )
-def test_rows_that_cannot_be_used_are_left_out_and_counted(
-    read_changed, column, value, reason
-):
-    read = read_changed(spoilt(column, value))
+def test_unusable_rows_are_dropped_and_counted(read_changed, column, value, reason):
+    read = read_changed(with_value(column, value))
     assert read.row_counts["points.csv"].dropped == {reason: 2}
     expected = points().drop(index=[3, 7]).drop(columns="trial").reset_index(drop=True)
     pd.testing.assert_frame_equal(read.trials["a"].points, expected)
 
 
-def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(read_changed):
+def test_clean_rows_and_unknown_columns_are_kept(read_changed):
     read = read_changed()
     assert read.row_counts["points.csv"].dropped == {}
     assert read.row_counts["points.csv"].unordered == 0
@@ -88,7 +86,7 @@ def test_clean_rows_are_all_kept_with_columns_that_nobody_knows(read_changed):
     )
 
 
-def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(
+def test_duplicates_and_contradictions_are_distinguished(
     read_changed,
 ):
     again = points().iloc[[4]].assign(x=9.0)
@@ -105,7 +103,7 @@ def test_duplicates_are_told_from_contradictions_and_order_does_not_matter(
     assert by_place.row_counts["points.csv"].unordered == 0
 
 
-def test_csv_says_the_same_as_parquet(read_changed, tmp_path):
+def test_csv_equals_parquet(read_changed, tmp_path):
     read_changed()
     (tmp_path / "parquet").mkdir()
     for table, frame in ((ARM, arm()), (POINTS, points())):
@@ -120,12 +118,12 @@ def test_csv_says_the_same_as_parquet(read_changed, tmp_path):
     pd.testing.assert_frame_equal(one.arm, other.arm, check_exact=True)
 
 
-def test_names_of_digits_keep_their_zeros_and_meet_those_of_numbers(read_changed):
+def test_numeric_trial_names_keep_zeros_and_match_numbers(read_changed):
     read = read_changed(points().assign(trial="007"), arm().assign(trial="007"))
     assert list(read.trials) == ["007"]
 
 
-def test_a_missing_valid_is_false(read_changed):
+def test_missing_valid_is_false(read_changed):
     seen = points().assign(valid=True)
     seen["valid"] = seen["valid"].astype(object)
     seen.loc[[1, 2], "valid"] = None
@@ -164,12 +162,12 @@ def test_a_missing_valid_is_false(read_changed):
         ),
     ],
 )
-def test_a_file_that_cannot_be_read_is_named_with_a_remedy(read_changed, text, words):
+def test_unreadable_files_are_named_with_a_remedy(read_changed, text, words):
     with pytest.raises(DataError, match=words):
         read_changed(text=text)
 
 
-def test_spaces_and_a_byte_order_mark_do_no_harm(read_changed):
+def test_spaces_and_byte_order_mark_are_ignored(read_changed):
     spaced = read_changed(
         text=lambda text: b"\xef\xbb\xbf" + text.replace(",", ", ").encode()
     )
@@ -210,13 +208,13 @@ def test_spaces_and_a_byte_order_mark_do_no_harm(read_changed):
         ),
     ],
 )
-def test_dataset_yaml_names_what_is_wrong(tmp_path, said, words):
+def test_faults_in_dataset_yaml_are_named(tmp_path, said, words):
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(said))
     with pytest.raises(DataError, match=rf"dataset\.yaml: {words}"):
         read_metadata(tmp_path)
 
 
-def test_keys_that_nobody_knows_are_kept(tmp_path):
+def test_unknown_keys_are_kept(tmp_path):
     said = {
         "format": 1,
         "string": {"length": 0.3, "colour": "red"},
@@ -227,8 +225,8 @@ def test_keys_that_nobody_knows_are_kept(tmp_path):
     assert read_metadata(tmp_path) == said | {"trials": {"1": {"note": "x"}}}
 
 
-def test_a_folder_of_runs_names_its_newest_run(tmp_path):
-    """Someone may name `outputs`, which holds runs by date and time."""
+def test_error_for_a_folder_of_runs_names_the_newest(tmp_path):
+    """`outputs` holds runs by date and time."""
     for run in ("2026-11-28/10-00-00-a", "2026-11-29/09-00-00-b"):
         (tmp_path / run).mkdir(parents=True)
         (tmp_path / run / "dataset.yaml").touch()

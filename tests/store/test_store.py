@@ -1,4 +1,4 @@
-"""Stored content is read back to the bit, with units, origin and content hash."""
+"""Artifacts are stored bit by bit, with units, origin and content hash."""
 
 import hashlib
 import os
@@ -46,7 +46,7 @@ def points():
     )
 
 
-def test_every_bit_comes_back(points, tmp_path):
+def test_artifacts_are_read_bit_by_bit(points, tmp_path):
     store.save(points, tmp_path / "p", {})
     back = store.load(Points, tmp_path / "p")
     for name in Points.TABLES:
@@ -54,11 +54,11 @@ def test_every_bit_comes_back(points, tmp_path):
             getattr(back, name), Points.TABLES[name].check(getattr(points, name))
         )
     assert np.array_equal(np.signbit(back.points["t"]), np.signbit(points.points["t"]))
-    assert back.readings["frame"][0] == 2**53 + 1  # no detour through floating point
+    assert back.readings["frame"][0] == 2**53 + 1  # no conversion to floating point
     assert list(back.points["held"]) == [3] * 8  # unknown columns are kept
 
 
-def test_unit_meaning_and_origin_are_in_the_file(points, tmp_path):
+def test_files_hold_units_meanings_and_origin(points, tmp_path):
     made = {"seed": 3, "config": {"a": [1.5, None]}}
     store.save(points, tmp_path / "p", made)
     assert store.read_origin(tmp_path / "p" / "points.parquet") == made
@@ -72,9 +72,7 @@ def test_unit_meaning_and_origin_are_in_the_file(points, tmp_path):
                 assert schema.field(column.name).metadata[b"meaning"]
 
 
-def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(
-    points, tmp_path
-):
+def test_equal_content_has_equal_bytes_and_hash(points, tmp_path):
     for name in "ab":
         store.save(points, tmp_path / name, {"seed": 1})
     assert (tmp_path / "a/points.parquet").read_bytes() == (
@@ -93,13 +91,8 @@ def test_the_same_content_has_the_same_bytes_and_hash_whenever_and_wherever(
     assert store.content_hash(tmp_path / "c") != store.content_hash(tmp_path / "a")
 
 
-def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
-    points, tmp_path, monkeypatch
-):
-    """A file hashed piece by piece has the hash of the whole file.
-
-    Stored origins hold hashes of whole files.
-    """
+def test_hash_in_chunks_equals_hash_of_the_whole_file(points, tmp_path, monkeypatch):
+    """Stored origins hold hashes of whole files."""
     store.save(points, tmp_path / "a", {"seed": 1})
     (tmp_path / "a" / "film.mp4").write_bytes(bytes(range(256)) * 9)
     folder = hashlib.sha256()
@@ -123,13 +116,8 @@ def test_a_file_is_hashed_piece_by_piece_as_it_was_hashed_whole(
 @pytest.mark.skipif(
     not Path("/proc/self/fd").exists(), reason="only Linux names an open file"
 )
-def test_everything_is_on_the_disk_before_it_has_its_name(
-    points, tmp_path, monkeypatch
-):
-    """Everything is on the disk before it has its name.
-
-    Files and folders are synced before the rename, in case of a power cut.
-    """
+def test_files_are_synced_before_the_rename(points, tmp_path, monkeypatch):
+    """A power cut must not leave incomplete files."""
     done = []
     true_sync, true_rename = os.fsync, os.replace
     monkeypatch.setattr(
@@ -155,7 +143,7 @@ def test_everything_is_on_the_disk_before_it_has_its_name(
     assert str(tmp_path) in done[done.index("rename") :]
 
 
-def test_saving_again_replaces_the_whole_folder(points, tmp_path):
+def test_saving_again_replaces_the_folder(points, tmp_path):
     store.save(points, tmp_path / "p", {})
     (tmp_path / "p" / "stray.txt").write_text("of the old one")
     store.save(points, tmp_path / "p", {})
@@ -166,7 +154,7 @@ def test_saving_again_replaces_the_whole_folder(points, tmp_path):
     ]
 
 
-def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
+def test_images_are_read_lazily_in_table_order(tmp_path):
     images = [np.full((4, 5), level, np.uint8) for level in (10, 20, 30)]
     frames = pd.DataFrame(
         {
@@ -187,11 +175,8 @@ def test_images_are_read_one_by_one_in_the_order_of_their_table(tmp_path):
         back[3]
 
 
-def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
-    """Recent images are read once while there is room.
-
-    With room for two of three images, the two used last are held.
-    """
+def test_recent_images_are_cached_within_the_limit(monkeypatch):
+    """With a limit of two images, the two used last are cached."""
     pictures = [np.full((4, 5), i, np.uint8) for i in range(3)]
     read = []
 
@@ -206,7 +191,7 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     held = CachedImages(Files())
     assert [int(image[0, 0]) for _ in range(3) for image in held] == [0, 1, 2] * 3
     assert held[-1] is pictures[2]
-    assert sorted(read) == [0, 0, 1, 2]  # the first image is read again for its size
+    assert sorted(read) == [0, 0, 1, 2]  # the first read of image 0 was for its size
 
     monkeypatch.setattr("stringcast.data.images.CACHE_BYTES", 2 * pictures[0].nbytes)
     read.clear()
@@ -216,7 +201,7 @@ def test_what_is_looked_at_often_is_read_once_while_there_is_room(monkeypatch):
     assert read == [0, 0, 1, 2, 0]
 
 
-def test_images_just_written_are_given_from_memory_once_and_then_read():
+def test_recent_images_are_returned_from_memory_once():
     class Files(Images):
         def __len__(self):
             return 3
@@ -229,11 +214,8 @@ def test_images_just_written_are_given_from_memory_once_and_then_read():
     assert [int(image[0, 0]) for image in fresh[1:]] == [11, 12]
 
 
-def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
-    """The only whole copy is never deleted.
-
-    A kill between two renames leaves the old copy under its other name only.
-    """
+def test_only_complete_copy_is_never_removed(tmp_path, monkeypatch):
+    """A kill between two renames leaves only the old copy under a temporary name."""
     path, kept = tmp_path / "a.txt", tmp_path / ".a.txt.0123abcd.replaced"
     kept.write_text("the only one")
 
@@ -250,7 +232,7 @@ def test_the_only_whole_copy_is_never_tidied_away(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["arm.csv", "dataset.yaml"])
-def test_of_a_file_that_is_no_table_every_byte_counts(tmp_path, name):
+def test_hash_of_other_files_covers_all_bytes(tmp_path, name):
     hashes = []
     for folder, content in (
         ("a", b"t,q1\n0,1\n"),
@@ -264,13 +246,13 @@ def test_of_a_file_that_is_no_table_every_byte_counts(tmp_path, name):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
-def test_a_pipe_in_place_of_a_table_is_refused_and_not_waited_for(tmp_path):
+def test_pipe_instead_of_a_table_is_refused(tmp_path):
     os.mkfifo(tmp_path / "fit.parquet")
     with pytest.raises(DataError, match=r"fit\.parquet"):
         store.read_origin(tmp_path / "fit.parquet")
 
 
-def test_folders_are_made_with_those_above_them_and_removed_with_all_in_them(tmp_path):
+def test_folders_are_made_and_removed_recursively(tmp_path):
     disk.make_folder(tmp_path / "a" / "b")
     disk.make_folder(tmp_path / "a" / "b")
     disk.write(tmp_path / "a" / "b" / "c", b"d")
@@ -279,7 +261,7 @@ def test_folders_are_made_with_those_above_them_and_removed_with_all_in_them(tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_lock_is_held_by_one(tmp_path):
+def test_lock_is_exclusive(tmp_path):
     with (
         disk.hold_lock(tmp_path / "lock"),
         pytest.raises(BlockingIOError),
@@ -291,12 +273,8 @@ def test_a_lock_is_held_by_one(tmp_path):
 
 
 @pytest.mark.parametrize("again", [False, True])
-def test_a_lock_whose_file_was_removed_meanwhile_is_none(tmp_path, monkeypatch, again):
-    """A lock whose file was removed meanwhile is not held.
-
-    It was removed by the process that held it until now, and perhaps made again by a
-    third.
-    """
+def test_lock_on_a_removed_file_is_repeated(tmp_path, monkeypatch, again):
+    """The previous holder removed the file; a third process may have made it again."""
     path = tmp_path / "lock"
 
     def late(file):

@@ -1,4 +1,4 @@
-"""Times of a film with an uneven rate, as phones film, are those that it states."""
+"""Films with an uneven frame rate, as from phones."""
 
 import struct
 
@@ -12,13 +12,13 @@ PARENTS = (b"moov", b"trak", b"mdia", b"minf", b"stbl")
 
 
 def write_film(path, steps):
-    """Write an MP4 at 30 frames a second, each shown for some steps of it."""
+    """Write an MP4 at 30 frames a second; each frame is shown for some steps."""
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30, (64, 48))
     for number in range(len(steps)):
         writer.write(np.full((48, 64, 3), 10 * number, np.uint8))
     writer.release()
     data = bytearray(path.read_bytes())
-    # the table of durations, one entry a frame
+    # table of durations, one entry per frame
     at = data.index(b"stts") - 4
     (size,) = struct.unpack(">I", data[at : at + 4])
     (step,) = struct.unpack(">I", data[at + 20 : at + 24])
@@ -31,12 +31,12 @@ def write_film(path, steps):
         (old,) = struct.unpack(">I", data[start : start + 4])
         data[start : start + 4] = struct.pack(">I", old + len(table) - size)
     data[at : at + size] = table
-    # an edit list would end the film after its former duration
+    # an edit list would cut the film at its former duration
     path.write_bytes(bytes(data).replace(b"edts", b"free"))
 
 
 @pytest.mark.parametrize("fps", [30.0, 240.0])
-def test_frames_are_filmed_when_their_file_says(tmp_path, fps):
+def test_frame_times_follow_the_files_display_times(tmp_path, fps):
     steps = [1, 1, 3, 1, 1, 1, 2, 1, 1, 1]
     write_film(tmp_path / "film.mp4", steps)
     begins = np.cumsum([0, *steps[:-1]])
@@ -44,7 +44,7 @@ def test_frames_are_filmed_when_their_file_says(tmp_path, fps):
     np.testing.assert_allclose(times, begins / fps, atol=1e-4 * 30 / fps)
 
 
-def test_even_frames_have_the_stated_rate_exactly(tmp_path):
+def test_even_frames_have_exactly_the_stated_rate(tmp_path):
     write_film(tmp_path / "film.mp4", [1] * 10)
     times = Video(tmp_path / "film.mp4").frame_times(29.97)
     assert (times == np.arange(10) / 29.97).all()

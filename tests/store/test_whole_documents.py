@@ -1,4 +1,4 @@
-"""Every stored document can be read again, and every cut copy is one clear error."""
+"""Stored documents round-trip, and truncated copies give one clear error."""
 
 import json
 import shutil
@@ -57,7 +57,7 @@ def place(tmp_path_factory):
 
 @given(DOCUMENTS)
 @settings(deadline=None, max_examples=60)
-def test_json_and_yaml_are_read_as_they_were_written(place, values):
+def test_json_and_yaml_round_trip(place, values):
     write_text(place / "run.json", json.dumps(values))
     assert read_json(place / "run.json") == values
     text = mark_yaml_end(yaml.safe_dump(values, sort_keys=False))
@@ -75,7 +75,7 @@ VALUES = st.floats(-1e6, 1e6)
     )
 )
 @settings(deadline=None, max_examples=60)
-def test_an_extended_model_is_read_as_it_was_saved(place, ranges):
+def test_extended_model_round_trips(place, ranges):
     known = {}
     for name, (low, value, high) in ranges.items():
         known[name] = {"value": value, "low": low, "high": high}
@@ -85,7 +85,7 @@ def test_an_extended_model_is_read_as_it_was_saved(place, ranges):
 
 
 POSITIVE = st.floats(1e-6, 1e6)
-LENGTHS = st.floats(0.01, 20.0)  # [m] that import writes: others are refused
+LENGTHS = st.floats(0.01, 20.0)  # [m]; import refuses others
 SECONDS = st.floats(-1e11, 1e11)
 TRIAL_NAMES = st.sampled_from(["t1", "null", "1e3", "01", "on", "Straße 7"])
 CLOCKS = st.fixed_dictionaries(
@@ -113,7 +113,7 @@ CLOCKS = st.fixed_dictionaries(
     )
 )
 @settings(deadline=None, max_examples=25)
-def test_a_description_is_read_as_the_import_wrote_it(place, metadata):
+def test_imported_description_round_trips(place, metadata):
     rows = pd.DataFrame({"trial": ["a"], "t": 0.0, "q1": 0.1, "q2": 0.2, "q3": 0.3})
     points = pd.DataFrame()
     imported = ImportedDataset(ARM, rows, points, {}, metadata, [])
@@ -143,7 +143,7 @@ def test_a_description_is_read_as_the_import_wrote_it(place, metadata):
     )
 )
 @settings(deadline=None, max_examples=25)
-def test_a_camera_is_read_as_its_calibration_wrote_it(place, camera):
+def test_calibrated_camera_round_trips(place, camera):
     text = camera_settings(camera)
     (place / "camera.yaml").write_text(text)
     read = build_dataclass(Camera, read_measured_camera(place), "camera", "conf/camera")
@@ -154,7 +154,7 @@ def test_a_camera_is_read_as_its_calibration_wrote_it(place, camera):
 
 @given(st.lists(NUMBERS, min_size=1, max_size=10), NAMES)
 @settings(deadline=None, max_examples=30)
-def test_a_table_and_its_footer_are_read_as_they_were_written(place, numbers, step):
+def test_table_and_footer_round_trip(place, numbers, step):
     frame = pd.DataFrame({"t": numbers, "q1": 0.1, "q2": 0.2, "q3": 0.3})
     write_table(ARM, frame, place / "arm.parquet", {"step": step})
     pd.testing.assert_frame_equal(read_table(ARM, place / "arm.parquet"), frame)
@@ -201,7 +201,7 @@ DOCUMENT_KINDS = {
 
 
 @pytest.mark.parametrize("name", DOCUMENT_KINDS)
-def test_every_cut_copy_of_a_document_is_one_clear_error(tmp_path, name):
+def test_truncated_documents_give_one_clear_error(tmp_path, name):
     write, read = DOCUMENT_KINDS[name]
     write(tmp_path)
     path = tmp_path / name
@@ -219,7 +219,7 @@ def test_every_cut_copy_of_a_document_is_one_clear_error(tmp_path, name):
 
 
 @pytest.mark.parametrize("read", [lambda path: read_table(ARM, path), read_origin])
-def test_every_cut_copy_of_a_table_is_one_clear_error(tmp_path, read):
+def test_truncated_tables_give_one_clear_error(tmp_path, read):
     write_arm(tmp_path)
     path = tmp_path / "arm.parquet"
     whole = path.read_bytes()
@@ -229,7 +229,7 @@ def test_every_cut_copy_of_a_table_is_one_clear_error(tmp_path, read):
             read(path)
 
 
-def test_a_file_without_the_mark_of_an_end_needs_none(tmp_path):
+def test_foreign_files_need_no_end_mark(tmp_path):
     (tmp_path / "dataset.yaml").write_text("format: 1\nstring: {length: 0.3}\n")
     assert read_metadata(tmp_path)["string"] == {"length": 0.3}
     write_metadata(tmp_path)

@@ -1,4 +1,4 @@
-"""The lab: its reports and films agree with what happens in it."""
+"""The virtual lab: reports and films agree with the simulated motion."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import resample_joint_motion
 
 
-def test_the_velocity_loop_has_the_bandwidth_it_states():
+def test_velocity_loop_has_the_stated_bandwidth():
     servo = VirtualServo(bandwidth=40.0, repeatability=0.0, step=0.0001)
     t = np.arange(0, 2, 0.0001)
     gains = []
@@ -29,11 +29,8 @@ def test_the_velocity_loop_has_the_bandwidth_it_states():
     assert abs(20 * np.log10(gains[1]) + 3) < 0.2
 
 
-def test_the_string_is_drawn_where_it_is(camera):
-    """The string is drawn where it is.
-
-    The centroid of brightness along rows shows it, for a slanted still string.
-    """
+def test_string_is_rendered_at_its_position(camera):
+    """Measured by the centroid of brightness along rows, for a slanted string."""
     look = Look(noise=0.0, texture=0.0, unevenness=0.0)
     string = np.stack([np.linspace(0.1, 0.15, 30), np.linspace(0.5, 0.2, 30)], axis=-1)
     wall = render_background(camera, look, 0)
@@ -46,7 +43,7 @@ def test_the_string_is_drawn_where_it_is(camera):
         assert abs(u - np.interp(v, pixels[:, 1], pixels[:, 0])) < 0.3
 
 
-def test_trials_repeat_bit_for_bit_and_differ_by_their_number(arm, camera):
+def test_trials_are_reproducible_and_differ_by_number(arm, camera):
     from conftest import specimen, swing
 
     def film(trial):
@@ -69,8 +66,8 @@ def test_trials_repeat_bit_for_bit_and_differ_by_their_number(arm, camera):
         table.check(getattr(one, name))
 
 
-def test_a_yielding_string_is_simulated_while_it_is_compressed(arm, camera):
-    """Compressed to 0.4 of its length, it moves as in steps that are always stable."""
+def test_soft_string_is_simulated_under_compression(arm, camera):
+    """Compressed to 0.4 of its length, it agrees with a simulation in small steps."""
     from conftest import specimen, swing
 
     yielding = {
@@ -102,10 +99,8 @@ def test_a_yielding_string_is_simulated_while_it_is_compressed(arm, camera):
 
 
 @pytest.mark.parametrize("name", ["C", "D"])
-def test_the_mesh_of_a_soft_string_moves_it_by_less_than_a_film_shows(
-    arm, camera, name
-):
-    """A real string has no mesh. Half as many points move string D by 0.6 mm."""
+def test_mesh_error_of_a_soft_string_is_below_camera_resolution(arm, camera, name):
+    """Halving the points moves string D by 0.6 mm."""
     from conftest import specimen
 
     t = np.arange(0, 1.0, 1e-3)
@@ -141,11 +136,8 @@ HIDDEN = {
 }
 
 
-def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
-    """Hidden effects happen, and reports do not reveal them.
-
-    String, hand, camera and clocks are tested in turn.
-    """
+def test_hidden_effects_act_and_are_not_reported(arm, camera):
+    """Tested for string, hand, camera and clocks."""
     from dataclasses import replace
 
     from conftest import specimen, swing
@@ -181,7 +173,7 @@ def test_what_is_hidden_happens_and_what_is_reported_does_not_tell(arm, camera):
     )
 
 
-def test_hiding_what_is_not_known_is_refused():
+def test_unknown_hidden_effects_are_refused():
     from dataclasses import replace
 
     import pytest
@@ -193,12 +185,8 @@ def test_hiding_what_is_not_known_is_refused():
         replace(specimen("A"), hidden={"tip_mass": {"mass": 1.0}})
 
 
-def test_the_string_bounces_off_the_obstacles(arm, camera):
-    """The string bounces off the obstacles.
-
-    There are two boxes: the string enters them by 3 mm at 4 to 6 m/s, instead of 47 and
-    52.
-    """
+def test_string_bounces_off_obstacles(arm, camera):
+    """It enters two boxes by 3 mm at 4 to 6 m/s, instead of 47 and 52 mm."""
     from conftest import specimen, swing
 
     boxes = (Box(0.0, 0.85, 0.2, 0.2), Box(0.85, 0.4, 0.2, 0.2))
