@@ -35,7 +35,7 @@ LOOPS: tuple[tuple[Integrator, tuple[type[StringEffect], ...]], ...] = (
 
 def main() -> None:
     """Compile all loops, each in a process of its own."""
-    # The first process also compiles the functions that all need.
+    # The first loop also compiles the functions that all loops use.
     first, *others = LOOPS
     run_loop(*first)
     spawn = multiprocessing.get_context("spawn")
@@ -51,11 +51,11 @@ def run_loop(integrator: Integrator, effects: tuple[type[StringEffect], ...]) ->
     ticks = 5e-3 * np.arange(3)
     hand = resample_hand_motion(ticks, np.zeros((3, 3)) - [0, 0, np.pi / 2])
     values = np.repeat(string.start_values()[None], 2, axis=0)
-    moments = np.repeat(ticks[None], 2, axis=0)
+    times = np.repeat(ticks[None], 2, axis=0)
     s = np.linspace(0.0, string.length, 5)
     state = StringState(0.0, s, np.full(5, -np.pi / 2), np.zeros(5))
     simulate(string, hand, values, ticks)
-    simulate(string, hand, values, moments, state)
+    simulate(string, hand, values, times, state)
 
 
 if __name__ == "__main__":
