@@ -23,7 +23,6 @@ import numpy as np
 
 from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis, OnsetBasis
 from stringcast.stages.inference.discrepancy_grid import (
-    ONSET_SHARES,
     split_grid_point,
 )
 from stringcast.stages.inference.noise import MeasuredTrial
@@ -105,13 +104,13 @@ class Discrepancy:
     ) -> np.ndarray:
         """Compute V^(-1/2) of coefficients (C, 2 M)."""
         onset, scale_index = split_grid_point(grid_point)
-        return self._at_onset(onset).whiten(coefficients, scale_index)
+        return self._errors_by_onset[onset].whiten(coefficients, scale_index)
 
     def log_likelihood_by_grid_point(self, coefficients: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of coefficients (C, 2 M), (C, W S)."""
         by_onset = []
-        for onset in range(len(ONSET_SHARES)):
-            by_onset.append(self._at_onset(onset).log_likelihood_by_scale(coefficients))
+        for errors in self._errors_by_onset:
+            by_onset.append(errors.log_likelihood_by_scale(coefficients))
         return np.concatenate(by_onset, axis=1)
 
     def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
@@ -135,7 +134,7 @@ class Discrepancy:
         chosen: a mask of q points at which they are evaluated, (n,).
         """
         onset, scale_index = split_grid_point(grid_point)
-        variance = self.basis.at_onset(onset).variance_at(scale_index)
+        variance = self.basis.by_onset[onset].variance_at(scale_index)
         normal = rng.standard_normal((count, 2, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
         offset = self._at_points(scatter, onset, chosen)
@@ -154,7 +153,7 @@ class Discrepancy:
         self, coefficients: np.ndarray, grid_point: int, chosen: np.ndarray
     ) -> np.ndarray:
         onset, scale_index = split_grid_point(grid_point)
-        basis = self.basis.at_onset(onset)
+        basis = self.basis.by_onset[onset]
         variance = basis.variance_at(scale_index)
         amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         explained = self.nuisance_coefficients @ amplitudes
@@ -166,26 +165,21 @@ class Discrepancy:
         self, turned: np.ndarray, onset: int, chosen: np.ndarray
     ) -> np.ndarray:
         """Evaluate rotated coefficients (C, 2, M) at some points, (C, 2 q)."""
-        coefficients = self.basis.at_onset(onset).turn_back(turned)
+        coefficients = self.basis.by_onset[onset].turn_back(turned)
         return self.basis.at_points(coefficients, chosen)
 
     def _nuisance_amplitudes(
         self, coefficients: np.ndarray, grid_point: int
     ) -> np.ndarray:
         onset, scale_index = split_grid_point(grid_point)
-        return self._at_onset(onset).nuisance_amplitudes(coefficients, scale_index)
-
-    def _at_onset(self, onset: int) -> _ErrorsOfOnset:
-        if onset not in self._errors_by_onset:
-            errors = _ErrorsOfOnset(
-                self.basis.at_onset(onset), self.nuisance_coefficients
-            )
-            self._errors_by_onset[onset] = errors
-        return self._errors_by_onset[onset]
+        return self._errors_by_onset[onset].nuisance_amplitudes(
+            coefficients, scale_index
+        )
 
     @cached_property
-    def _errors_by_onset(self) -> dict[int, _ErrorsOfOnset]:
-        return {}
+    def _errors_by_onset(self) -> tuple[_ErrorsOfOnset, ...]:
+        columns = self.nuisance_coefficients
+        return tuple(_ErrorsOfOnset(basis, columns) for basis in self.basis.by_onset)
 
 
 class _ErrorsOfOnset:

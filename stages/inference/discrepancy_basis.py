@@ -125,18 +125,13 @@ class DiscrepancyBasis:
         by_axis = coefficients.reshape(2 * len(coefficients), -1)
         return self.noise_basis.at_points(by_axis, chosen)
 
-    def at_onset(self, onset: int) -> OnsetBasis:
-        """Return the rotated coefficients for an onset."""
-        if onset not in self._by_onset:
-            self._by_onset[onset] = self._turn_for(onset)
-        return self._by_onset[onset]
-
     @cached_property
-    def _by_onset(self) -> dict[int, OnsetBasis]:
-        return {}
+    def by_onset(self) -> tuple[OnsetBasis, ...]:
+        """The rotated coefficients for each onset, W of them."""
+        return tuple(self._turn_for(size) for size in self.sizes)
 
-    def _turn_for(self, onset: int) -> OnsetBasis:
-        size = self.sizes[onset]
+    def _turn_for(self, size: np.ndarray) -> OnsetBasis:
+        """Rotate coefficients for a discrepancy of a size at each frame, (F,)."""
         # Growth is zero in a trial whose simulation diverges
         unit_size = size / max(rms(size), np.finfo(float).tiny)
         root = self.noise_basis.discrepancy_root(unit_size[:, None] * self.time_root)
