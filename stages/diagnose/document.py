@@ -139,22 +139,20 @@ def unexplained_document(
 ) -> dict[str, Any]:
     """Describe the remaining misfit for diagnosis.json."""
     value, low, high = budget.unexplained_m
+    misfit_m = rms(unexplained_tip_rms(data, fit))
+    base_misfit_m = rms(unexplained_tip_rms(data, judgement.base_fit))
     fraction = 0.0
-    if judgement.verdict.kind != "none":
-        square = unexplained_tip_rms(data, fit) ** 2
-        base_square = unexplained_tip_rms(data, judgement.base_fit) ** 2
-        base_sum = max(base_square.sum(), np.finfo(float).tiny)
-        fraction = float(np.clip(square.sum() / base_sum, 0, 1))
+    if judgement.verdict.kind != "none" and misfit_m > 0:
+        fraction = (misfit_m / max(base_misfit_m, misfit_m)) ** 2
     where = ""
     sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
         # The value of the budget, unless numerical error may explain all of it
-        left_m = value if low > 0 else rms(unexplained_tip_rms(data, fit))
-        left_mm = MM_PER_M * left_m
+        left_mm = MM_PER_M * (value if low > 0 else misfit_m)
         misfit = f"A misfit of {left_mm:.1f} mm is left at the tip"
         if judgement.verdict.kind == "partial":
-            before_mm = MM_PER_M * rms(unexplained_tip_rms(data, judgement.base_fit))
+            before_mm = MM_PER_M * base_misfit_m
             misfit = (
                 f"{left_mm:.1f} of {before_mm:.1f} mm remain unexplained at the tip"
             )

@@ -128,9 +128,7 @@ def swap_lookalikes_until_stable(
     After each replacement all posteriors are computed again. Replacements are limited
     to the number of causes; one more is made without new posteriors.
     """
-    changes_left = len(state.fit.hypothesis.causes)
-    is_settled = False
-    while not is_settled:
+    for changes_left in reversed(range(len(state.fit.hypothesis.causes) + 1)):
         background = background_responses(state.prepared.data, state.fit, effects)
         by_cause = list[SingleEffectPosterior]()
         replacement = None
@@ -146,10 +144,9 @@ def swap_lookalikes_until_stable(
                 replacement = _more_probable_fit(posterior, state, criteria)
             if replacement is not None and changes_left:
                 break
-        is_settled = replacement is None or not changes_left
-        changes_left -= 1
-        if replacement is not None:
-            state = with_fit(state, replacement)
+        if replacement is None:
+            break
+        state = with_fit(state, replacement)
 
     by_cause.reverse()
     likeliest = with_most_probable_causes(state, by_cause)

@@ -232,11 +232,15 @@ def measure_verdict_numbers(
     unresolved_m = unresolved_by_simulation(
         state.prepared.discretisation_uncertainty_m, base_unexplained_m, criteria
     )
-    numbers = replace(numbers, explained_fraction=explained, unresolved_m=unresolved_m)
-    base_probability = numbers.misfit_probability
+    base_misfit = misfit
     if base_fit is not fit:
-        base_probability = misfit_probability(data, base_fit, criteria, seed)
-    return replace(numbers, base_misfit_probability=base_probability)
+        base_misfit = misfit_probability(data, base_fit, criteria, seed)
+    return replace(
+        numbers,
+        explained_fraction=explained,
+        unresolved_m=unresolved_m,
+        base_misfit_probability=base_misfit,
+    )
 
 
 def misfit_probability(
