@@ -13,7 +13,6 @@ import pytest
 from conftest import TRUTH as ORDINARY
 from conftest import rms_distance, simulated_points, threads
 
-from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.data.estimates import CANDIDATES, PARAMETERS
 from stringcast.stages.estimate import cma_es, least_squares, random_search
 from stringcast.stages.estimate.matching import (
@@ -36,6 +35,7 @@ from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
+from tests.observations import grasp_table, observe_points
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
 # implicit steps, of which few are enough
@@ -65,22 +65,9 @@ def observed(seed, noise=7e-4, name="t01", seconds=1.0):
     true = simulate(
         STRING, resample_hand_motion(t, pose), STRING.values(TRUTH)[None], t[::2]
     ).points[0]
-    s = np.tile(STRING.arc_lengths(), len(t[::2]))
-    seen = true.reshape(-1, 2) + noise * rng.standard_normal((len(s), 2))
-    points = pd.DataFrame(
-        {
-            "t": np.repeat(t[::2], 10),
-            "s": s,
-            "x": seen[:, 0],
-            "y": seen[:, 1],
-            "sigma": noise,
-            "valid": True,
-        }
-    )
-    grasp = pd.DataFrame(
-        {"t": t, "x": pose[:, 0], "y": pose[:, 1], "theta": pose[:, 2]}
-    )
-    return Observation(name, points, READINGS.empty(), MASKS.empty(), grasp=grasp)
+    seen = true + noise * rng.standard_normal(true.shape)
+    grasp = grasp_table(t, pose)
+    return observe_points(name, t[::2], STRING.arc_lengths(), seen, noise, grasp=grasp)
 
 
 def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, camera):
@@ -372,25 +359,13 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     still = observed(1)
     start = still.grasp.iloc[:1]
     rest = pd.concat([start] * 100, ignore_index=True).assign(t=np.arange(100) * 0.005)
-    true = simulate(
-        STRING,
-        resample_hand_motion(
-            rest["t"].to_numpy(), rest[["x", "y", "theta"]].to_numpy()
-        ),
-        STRING.values(TRUTH)[None],
-        np.arange(50) * 0.01,
-    ).points[0]
-    noise = 7e-4 * np.random.default_rng(0).standard_normal((500, 2))
-    points = pd.DataFrame(
-        {
-            "t": np.repeat(np.arange(50) * 0.01, 10),
-            "s": np.tile(STRING.arc_lengths(), 50),
-        }
+    t = np.arange(50) * 0.01
+    hand = resample_hand_motion(
+        rest["t"].to_numpy(), rest[["x", "y", "theta"]].to_numpy()
     )
-    points[["x", "y"]] = true.reshape(-1, 2) + noise
-    lazy = Observation(
-        "rest", points.assign(sigma=7e-4), READINGS.empty(), MASKS.empty(), grasp=rest
-    )
+    true = simulate(STRING, hand, STRING.values(TRUTH)[None], t).points[0]
+    seen = true + 7e-4 * np.random.default_rng(0).standard_normal(true.shape)
+    lazy = observe_points("rest", t, STRING.arc_lengths(), seen, 7e-4, grasp=rest)
     settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
         Model(STRING, arm, camera), [lazy], None, seed=0, cast_number=1, **settings

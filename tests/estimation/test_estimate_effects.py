@@ -26,6 +26,7 @@ from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import PLUGINS_VARIABLE
 from tests.conftest import TRUTH as ORDINARY
+from tests.observations import grasp_table, observe_points
 from tests.tether import TETHER
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
@@ -55,25 +56,9 @@ def observed(model, size, noise=7e-4):
     seen = model.simulate_observation(
         resample_hand_motion(T, POSE), model.values(TRUTH | size)[None], t
     ).points[0]
-    s = np.tile(STRING.arc_lengths(), len(t))
-    place = seen.reshape(-1, 2) + noise * np.random.default_rng(0).standard_normal(
-        (len(s), 2)
-    )
-    points = pd.DataFrame(
-        {
-            "t": np.repeat(t, 10),
-            "s": s,
-            "x": place[:, 0],
-            "y": place[:, 1],
-            "sigma": noise,
-        }
-    )
-    grasp = pd.DataFrame(
-        {"t": T, "x": POSE[:, 0], "y": POSE[:, 1], "theta": POSE[:, 2]}
-    )
-    return Observation(
-        "t01", points.assign(valid=True), READINGS.empty(), MASKS.empty(), grasp=grasp
-    )
+    seen = seen + noise * np.random.default_rng(0).standard_normal(seen.shape)
+    grasp = grasp_table(T, POSE)
+    return observe_points("t01", t, STRING.arc_lengths(), seen, noise, grasp=grasp)
 
 
 def recovered(model, observation):

@@ -6,11 +6,9 @@ It was released after a handling that was not recorded.
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from conftest import rms_distance
 
-from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.initial_modes import (
@@ -26,6 +24,7 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 from stringcast.stages.model.string import PAPER_EFFECTS
 from tests.conftest import implicit_string
+from tests.observations import grasp_table, observe_points
 
 LENGTH, NOISE, FPS = 0.3, 5e-4, 60
 STRING = implicit_string(
@@ -68,28 +67,11 @@ def released(aside, let_back, seed):
     )
     hand = resample_hand_motion(T, GRASP)
     true = simulate(STRING, hand, STRING.values(CABLE)[None], T, start).points[0]
-    seen = true[:, 1:] + np.random.default_rng(seed).normal(
-        0, NOISE, (len(T), len(PLACES), 2)
-    )
-    points = pd.DataFrame(
-        {
-            "t": T.repeat(len(PLACES)),
-            "s": np.tile(PLACES, len(T)),
-            "sigma": NOISE,
-            "valid": True,
-        }
-    )
-    points[["x", "y"]] = seen.reshape(-1, 2)
-    grasp = pd.DataFrame(
-        {"t": T, "x": GRASP[:, 0], "y": GRASP[:, 1], "theta": GRASP[:, 2]}
-    )
-    return Observation(
-        f"r{seed}",
-        points,
-        READINGS.empty(),
-        MASKS.empty(),
-        grasp=grasp,
-        starts_moving=True,
+    rng = np.random.default_rng(seed)
+    seen = true[:, 1:] + rng.normal(0, NOISE, (len(T), len(PLACES), 2))
+    grasp = grasp_table(T, GRASP)
+    return observe_points(
+        f"r{seed}", T, PLACES, seen, NOISE, grasp=grasp, starts_moving=True
     )
 
 

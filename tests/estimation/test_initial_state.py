@@ -6,13 +6,11 @@ Estimation from trials that begin in motion uses it.
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 from conftest import rms_distance
 
 from stringcast.data import dataset
-from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate import least_squares
@@ -32,6 +30,7 @@ from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 from tests.conftest import implicit_string
+from tests.observations import grasp_table, observe_points
 
 LENGTH = 0.3
 STRING = implicit_string(15, 5e-4, LENGTH)
@@ -78,19 +77,8 @@ def released(turn, places, fps, noise, seed=0, until=0.6, string=STRING):
 
 
 def observed(t, seen, places, **more):
-    points = pd.DataFrame(
-        {
-            "t": t.repeat(len(places)),
-            "s": np.tile(places, len(t)),
-            "sigma": 7e-4,
-            "valid": True,
-        }
-    )
-    points[["x", "y"]] = seen.reshape(-1, 2)
-    grasp = pd.DataFrame({"t": t, "x": POSE[0], "y": POSE[1], "theta": POSE[2]})
-    return Observation(
-        "r", points, READINGS.empty(), MASKS.empty(), grasp=grasp, **more
-    )
+    grasp = grasp_table(t, np.tile(POSE, (len(t), 1)))
+    return observe_points("r", t, places, seen, 7e-4, grasp=grasp, **more)
 
 
 def recover_state(turn, where, fps, noise, seed=0, outlier=0.0):

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 import yaml
 
-from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.data.estimates import PARAMETERS, SCORE, Estimate, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
@@ -25,6 +24,7 @@ from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 from tests.conftest import implicit_string
+from tests.observations import grasp_table, observe_points
 
 STRING = implicit_string(12, 1e-3)
 TRUTH = {
@@ -73,19 +73,8 @@ def driven(model, values, name="driven", start=None):
     s = model.string.arc_lengths()
     seen = np.array([interpolate_rows(PLACES, s, line) for line in true.points[0]])
     seen += np.random.default_rng(1).normal(0, NOISE, (len(T), 2, 2))
-    points = pd.DataFrame(
-        {"t": T.repeat(2), "s": np.tile(PLACES, len(T)), "sigma": NOISE, "valid": True}
-    )
-    points[["x", "y"]] = seen.reshape(-1, 2)
-    grasp = pd.DataFrame({"t": T} | dict(zip(("x", "y", "theta"), pose.T, strict=True)))
-    return Observation(
-        name,
-        points,
-        READINGS.empty(),
-        MASKS.empty(),
-        grasp=grasp,
-        starts_moving=start is not None,
-    )
+    fields = {"grasp": grasp_table(T, pose), "starts_moving": start is not None}
+    return observe_points(name, T, PLACES, seen, NOISE, **fields)
 
 
 def fitted(model, **values):

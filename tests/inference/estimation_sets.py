@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
+from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.stages.generate.curves import Curves, first_curves
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
@@ -28,6 +28,7 @@ from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from tests.benchmarks.speed.cord import ROOT
+from tests.observations import observe_points
 
 CASTS = 4
 DURATION = (0.5, 0.8)  # duration of the movement [s]; the string swings on until END
@@ -155,19 +156,5 @@ def observe_cast(
     points = _simulate(chain, truth, log)
     place = PLACES / chain.string.segment_length
     line = interpolate_along_string(points[None], place[None])[0]
-    x, y = (line + noise * rng.standard_normal(line.shape)).reshape(-1, 2).T
-    seen = pd.DataFrame(
-        {
-            "t": np.repeat(FRAME_TIMES, len(PLACES)),
-            "s": np.tile(PLACES, len(FRAME_TIMES)),
-            "x": x,
-            "y": y,
-        }
-    )
-    return Observation(
-        name,
-        seen.assign(sigma=NOISE, valid=True),
-        READINGS.empty(),
-        MASKS.empty(),
-        arm=log,
-    )
+    seen = line + noise * rng.standard_normal(line.shape)
+    return observe_points(name, FRAME_TIMES, PLACES, seen, NOISE, arm=log)

@@ -4,15 +4,14 @@ The first frames show it.
 """
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.stages.inference.batch import simulate_trials
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.hand import resample_hand_motion
 from stringcast.stages.model.model import Model
 from tests.conftest import implicit_string
+from tests.observations import grasp_table, observe_points
 
 LENGTH, NOISE = 0.3, 1.5e-3
 NAMED = {
@@ -49,19 +48,8 @@ def observed(model, values, side, lean, places):
     line = [[np.interp(places, s, one[:, axis]) for axis in (0, 1)] for one in points]
     seen = np.array(line).transpose(0, 2, 1)
     seen = seen + np.random.default_rng(0).normal(0, NOISE, seen.shape)
-    table = pd.DataFrame(
-        {
-            "t": T.repeat(len(places)),
-            "s": np.tile(places, len(T)),
-            "sigma": NOISE,
-            "valid": True,
-        }
-    )
-    table[["x", "y"]] = seen.reshape(-1, 2)
-    hand = pd.DataFrame(
-        {"t": T, "x": grasp[:, 0], "y": grasp[:, 1], "theta": grasp[:, 2]}
-    )
-    return Observation("r", table, READINGS.empty(), MASKS.empty(), grasp=hand)
+    hand = grasp_table(T, grasp)
+    return observe_points("r", T, places, seen, NOISE, grasp=hand)
 
 
 @pytest.mark.parametrize("where", PLACES)
