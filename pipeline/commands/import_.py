@@ -211,8 +211,8 @@ def propose_skipped_zeros(tables: ImportedTables) -> Change | None:
         return None
     counts = [f"{count} in {file.name}" for file, count in tables.zero_rows.items()]
     reason = (
-        f"rows of the hand's log are exactly zero among others ({', '.join(counts)}), "
-        "as of a second publisher"
+        f"single rows of the hand's log are exactly zero ({', '.join(counts)}), "
+        "as if from a second publisher"
     )
     return Change(reason, ["--skip-zeros"])
 

@@ -148,7 +148,7 @@ def argument_parser(description: str | None = None) -> argparse.ArgumentParser:
     add(
         "--skip-zeros",
         action="store_true",
-        help="leave out rows of the arm's log that are exactly zero among others",
+        help="leave out single rows of the arm's log that are exactly zero",
     )
     add("--px-per-m", type=float, help="pixels of a metre, where places are in pixels")
     add(

@@ -85,7 +85,7 @@ def check_empty_tables(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find tables without a row."""
     for file, rows in dataset.data.row_counts.items():
         if not rows.total:
-            yield error(file, "trial", "it holds no rows", "Fill it in")
+            yield error(file, "trial", "it has no rows", "Fill it in")
 
 
 def check_rejected_trials(dataset: CheckedDataset) -> Iterator[Finding]:
@@ -160,8 +160,8 @@ def check_arm(dataset: CheckedDataset) -> Iterator[Finding]:
     else:
         verdict = "this string is possible, but other arms are, too"
     statement = (
-        f"{dataset.hand_file} holds joint angles of an arm, and nothing says {unknown}"
-        f"; with the configured arm ({configured}, in metres) {verdict}"
+        f"{dataset.hand_file} has joint angles of an arm, but it is not stated "
+        f"{unknown}; with the configured arm ({configured}, in metres) {verdict}"
     )
     if dataset.data.metadata.get("arm"):
         remedy = "Add what your arm has, in metres, as the configured one has "

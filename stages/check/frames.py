@@ -36,8 +36,8 @@ def check_camera_view(dataset: CheckedDataset) -> Iterator[Finding]:
     lost = (~is_kept).mean()
     if lost > MAX_LOST_CORNERS:
         statement = (
-            f"{lost:.0%} of the picture lies nowhere in the plane by these numbers, or "
-            "twice"
+            f"{lost:.0%} of the picture has no place in the plane by these numbers, or "
+            "two"
         )
         remedy = "Correct lens, distortion or tilt, or calibrate again"
         report = error if lost > 0.5 else warning

@@ -102,7 +102,7 @@ def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
     else:
         return
     statement = (
-        f"the string's end falls with {gravity:.2g} m/s2 as it seems, and not with "
+        f"the string's end seems to fall with {gravity:.2g} m/s2, and not with "
         f"{GRAVITY_M_S2}"
     )
     yield warning(dataset.points_file, "t, x, y", statement, remedy)

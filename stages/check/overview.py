@@ -47,7 +47,7 @@ def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
         [s]; frames; fps and hand_rate: samples of string and hand [1/s]; points: mean
         number in a frame; noise of a coordinate [m], None if unknown; path: length of
         the hand's path [m]; begins: "at rest", "moving", or "moving?" if the string
-        seems to move against what is stated.
+        seems to move although it is stated to be at rest.
     """
     rows, films = [], dataset.data.films
     for trial in dataset.trials:

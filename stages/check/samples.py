@@ -69,7 +69,7 @@ def check_zero_rows(dataset: CheckedDataset) -> Iterator[Finding]:
     columns = ["x", "y", "theta"] if has_poses else list(JOINTS)
     listed = [f"{name}: {count}" for name, count in counts.items()]
     statement = (
-        f"rows are exactly zero among others, as of a second publisher "
+        f"single rows are exactly zero, as if from a second publisher "
         f"({'; '.join(listed[:MAX_LISTED_TRIALS])}), and the hand would move with "
         f"{speed:.3g} m/s"
     )

@@ -376,7 +376,7 @@ def describe_wrong_clock(clock: ClockOffset) -> str:
     where = "" if clock.is_common else f" in trial {name}"
     return (
         f"the clocks of arm and camera differ by {value:+.0f} ms{where} (95 % interval "
-        f"{low:+.0f} to {high:+.0f} ms): so says the motion of hand and string"
+        f"{low:+.0f} to {high:+.0f} ms), according to the motion of hand and string"
     )
 
 

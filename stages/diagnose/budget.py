@@ -42,7 +42,7 @@ class ErrorBudget:
     entries : tuple of BudgetEntry
         Their squares add up to the square of the misfit.
     unexplained_m : tuple of float
-        Value and 95 % interval of what is left [m].
+        Value and 95 % interval of the unexplained rest [m].
     nested_fits : tuple of Fit
         Fits with no cause, with the first, and so on.
     """

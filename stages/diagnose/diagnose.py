@@ -216,7 +216,7 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
     except InterruptRequest:
         if reached is None:
             raise
-        log.warning("interrupted: ending with what is known")
+        log.warning("interrupted: ending with the causes found so far")
         used, _, effects, state = reached
         judgement = judge_interrupted_search(state, effects, criteria, seed)
         gain = HeldOutGain(HELD_OUT.empty(), False)

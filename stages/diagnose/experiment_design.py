@@ -268,7 +268,8 @@ def _experiment_document(
     if inseparable:
         pairs = "; ".join(describe_causes(pair) for pair in inseparable)
         sentence += (
-            f"none distinguishes all of them; the best one leaves alike: {pairs}."
+            "none distinguishes all of them; the best one does not distinguish "
+            f"{pairs}."
         )
     else:
         between = describe_causes(names)

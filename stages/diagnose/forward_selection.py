@@ -120,7 +120,7 @@ def _add_small_cause(
     best = state.steps[-1].best
     assert best is not None
     cause = best.hypothesis.causes[-1]
-    log.info("%s is small; others are sought in addition to it", cause.name)
+    log.info("%s is small; others are searched in addition to it", cause.name)
     state = add_cause(state, best, criteria, rng, starts)
     return replace(state, unnamed=(*state.unnamed, cause))
 

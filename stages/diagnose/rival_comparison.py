@@ -187,7 +187,7 @@ def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> lis
     for fit in unresolved:
         if resolved and fit.log_evidence >= resolved[0].log_evidence:
             name = fit.hypothesis.cause_names[-1]
-            log.info("%s cannot be simulated well enough to be told apart", name)
+            log.info("%s cannot be simulated well enough to be distinguished", name)
             ahead.append(fit)
     return ahead
 

@@ -221,7 +221,7 @@ def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):
     assert experiment["probability_to_decide"] < 0.01
     assert abs(experiment["expected_log_odds"]) < 0.1
     assert "none distinguishes all of them" in experiment["sentence"]
-    assert "alike: lead and time offset." in experiment["sentence"]
+    assert "does not distinguish lead and time offset." in experiment["sentence"]
     assert proposal.commands.empty
 
 

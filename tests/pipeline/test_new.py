@@ -110,7 +110,7 @@ def test_filled_template_is_a_dataset(tmp_path, words, hand, capsys):
     )
     assert [
         f.statement for f in collect_findings(check.read_measurements(folder, []))
-    ] == ["it holds no rows"] * 2
+    ] == ["it has no rows"] * 2
     t = np.arange(20) / 100
     for name in (hand, "points"):
         columns = pd.read_csv(folder / f"{name}.csv").columns

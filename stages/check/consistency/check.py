@@ -138,8 +138,8 @@ def describe_contradiction(verdict: Verdict) -> str:
 def describe_misfit(verdict: Verdict) -> str:
     """Return the distance of points from the prediction, in words."""
     return (
-        f"points are {verdict.misfit_m:.2g} m from where a straight string in this "
-        f"hand would be, on average and whatever its stiffness and the clocks"
+        f"points are on average {verdict.misfit_m:.2g} m from where a straight string "
+        "in this hand would be, at the best stiffness and clock offset"
     )
 
 
@@ -157,7 +157,7 @@ def pairing_finding(dataset: CheckedDataset, pairing: Mapping[str, str]) -> Find
     pairs = [
         f"those of {points} fit the hand of {hand}" for hand, points in pairing.items()
     ]
-    statement = f"points have changed trials as it seems: {', '.join(pairs)}"
+    statement = f"it seems that points have changed trials: {', '.join(pairs)}"
     remedy = "Correct 'trial' of the points, or the names of the files they came from"
     return error(dataset.points_file, "trial", statement, remedy, *pairing)
 

@@ -141,7 +141,7 @@ def reason_beside_geometry(verdict: Verdict) -> str:
     if verdict.misfit < WRONG_MISFIT:
         beginning = judge_prediction(verdict.measured, BEGINNING)
         if beginning.misfit <= MAX_BEGINNING_MISFIT:
-            return "at the beginning they are nearer, as of a string that whips"
+            return "at the beginning they are nearer, as for a string that whips"
     return ""
 
 
