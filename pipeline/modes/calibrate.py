@@ -84,14 +84,14 @@ class Calibrate(Mode):
 def take_pictures(
     experiment: Experiment, name: str, request: str, console: Terminal
 ) -> list[object]:
-    """Return the pictures of a source, after a request to the user of a live camera."""
+    """Return the pictures of a source; for a live camera, ask the user first."""
     block = experiment.config[name]
     source: Source = build_chosen(block, name, f"conf/source, as {name}")
     return list(source.stills(experiment.camera, lambda: ask_user(request, console)))
 
 
 def ask_user(request: str, console: Terminal) -> None:
-    """Ask the user to prepare the live camera's view, and wait."""
+    """Ask the user to prepare the view of the live camera, and wait."""
     try:
         console.input(f"{escape(request)} Press Enter. ")
     except EOFError as error:

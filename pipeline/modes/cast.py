@@ -90,7 +90,7 @@ class Cast(Stepwise):
         executor: Executor,
         before: Sequence[Iteration] = (),
     ) -> RunResult:
-        """Cast until a trial hits; earlier casts count."""
+        """Cast until a trial hits; earlier casts are part of the budget."""
         config = experiment.config
         graph = self.graph(config)
         target = config["execute"]["_target_"]
@@ -136,7 +136,7 @@ class Cast(Stepwise):
     def perform_stages(
         self, names: Sequence[str], experiment: Experiment, history: History
     ) -> None:
-        """Run stages of a trial; estimate nothing from an invalid trial."""
+        """Run stages of a trial, without estimations from an invalid trial."""
         iteration = history.iterations[-1]
         for name in names:
             collected = stages()[name].collected_input
@@ -152,7 +152,7 @@ class Cast(Stepwise):
 
 
 def log_prospects(iteration: Iteration, motion: Motion) -> None:
-    """Log why the motion of a cast is likely to miss, if it is."""
+    """Log a warning if the motion of a cast is likely to miss."""
     if prospects := motion.outcome.iloc[0].get("prospects"):
         log.warning("%s: %s", iteration.title, prospects)
 
@@ -164,7 +164,7 @@ def measure_hit(
     artifacts = iteration.artifacts
     motion: Motion = artifacts[graph.artifact_name(HIT_TEST.name, "motion")]
     points = artifacts.get(graph.artifact_name(HIT_TEST.name, "points"))
-    if points is None:  # its stage was left out
+    if points is None:  # the wired stage was left out
         points = iteration.find(Points)
     assert points is not None
     in_arm_frame = transform_to_arm_frame(points, experiment.model)
@@ -182,7 +182,7 @@ def log_verdict(iteration: Iteration) -> None:
 
 
 def log_reading(iteration: Iteration) -> None:
-    """Log an arm off its reported pose, and why a trial is not used."""
+    """Log a misfit of the arm's reported pose, and why a trial is not used."""
     points = iteration.find(Points)
     misfit = describe_arm_misfit(points.readings) if points is not None else ""
     if misfit:
@@ -230,10 +230,10 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     """Describe the outcome of the casts in a sentence."""
     last = iterations[-1]
     explanation = last.find(Explanation)
-    lacked = describe_lack(explanation) if explanation is not None else ""
+    missing = describe_lack(explanation) if explanation is not None else ""
     if last.has_hit:
         sentence = f"The tip reached the target in cast {last.number}."
-        return f"{sentence} {lacked}".strip()
+        return f"{sentence} {missing}".strip()
     tries = f"{last.number} cast{'s' if last.number > 1 else ''}"
     sentence = f"The tip did not reach the target in {tries}; the budget is spent."
     verdict = last.verdict
@@ -246,7 +246,7 @@ def cast_outcome(iterations: Sequence[Iteration]) -> str:
     assert points is not None
     readings = points.readings
     reasons = [describe_arm_misfit(readings), describe_poor_reading(readings)]
-    return " ".join([sentence, *filter(None, [lacked, *reasons])])
+    return " ".join([sentence, *filter(None, [missing, *reasons])])
 
 
 def describe_lack(explanation: Explanation) -> str:
@@ -261,7 +261,7 @@ def describe_lack(explanation: Explanation) -> str:
 
 
 def dry_run_outcome(iteration: Iteration) -> str:
-    """Describe a dry run: link delays, and frames in which the string was read."""
+    """Describe a dry run: delays of the link, and number of frames read."""
     trial, points = iteration.find(Trial), iteration.find(Points)
     assert trial is not None
     assert points is not None

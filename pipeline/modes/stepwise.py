@@ -66,15 +66,15 @@ class Stepwise(Mode):
 
 
 def write_page(experiment: Experiment, result: RunResult, console: Terminal) -> None:
-    """Write the run's page; a failure loses only the page.
+    """Write the run's page; the run survives a failure.
 
-    An existing page stays if its frames were not kept.
+    An existing page is kept if its frames were not.
     """
     page = result.folder / "report.html"
     if page.exists() and run_folder.lacks_frames(result):
         console.print_line("report.html stays as it is: the frames were not kept.")
         return
-    # imported here, as drawing takes a second to load
+    # imported here because it takes a second
     report = import_module("stringcast.pipeline.run.report")
     try:
         report.write_report(experiment, result)

@@ -21,14 +21,14 @@ from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.effects.time_offset import TimeOffset
 
-# artifacts that a stored trial may hold
+# artifacts of a stored trial
 STORED_FILM = "trial"
 STORED_POINTS = "points"
 STORED_ARTIFACTS = {STORED_FILM: Film, STORED_POINTS: Points}
 
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
-    """Read the stored trials that fit the string, or raise DataError without any."""
+    """Read the stored trials that fit the string, or raise DataError if none does."""
     trials, length = experiment.config["trials"], experiment.string.length
     stored = dataset.read_dataset(Path(trials))
     refuse_errors(CheckedDataset(stored, experiment.arm, experiment.camera, length))
@@ -42,7 +42,7 @@ def refuse_unlike_clocks(
 ) -> None:
     """Raise DataError for a dataset with clearly different clocks.
 
-    In a run, or with a clock offset in the model, the offset is known.
+    Runs, and models with a clock offset, are not tested: their offset is known.
     """
     if is_run_folder(folder) or TimeOffset in experiment.model.effects:
         return
@@ -97,7 +97,7 @@ def read_trial(
     again : bool
         Extract points again even if points are stored.
     consumer : str
-        Stage that takes the trial, with the points that are wired to it.
+        Stage that takes the trial, with the points wired to it.
 
     Raises
     ------
