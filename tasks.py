@@ -32,12 +32,12 @@ LOCK = ROOT / "requirements.lock"
 BENCH_LOCK = ROOT / "tests" / "benchmarks" / "speed" / "requirements.lock"
 DOCS_LOCK = ROOT / "docs" / "requirements.lock"
 PYTHON = ENVIRONMENT / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-# what makes the folders of this clone one package
+# files that define the package
 PACKAGE_FILES = (ROOT / "setup.py", ROOT / "pyproject.toml")
 # the folders of this clone as one package, for Python, editors and mypy
 LINKS = ENVIRONMENT / "package"
 PARALLEL_OPTIONS = ("--numprocesses=auto", "--dist=loadfile", "--no-loadscope-reorder")
-# These tests wait for real clocks most of the time, and nothing else may run meanwhile.
+# These tests depend on real clocks, so nothing else may run meanwhile.
 TIMED_TESTS = "tests/drivers"
 TIMED_OPTIONS = ("--numprocesses=3", "--dist=worksteal", TIMED_TESTS)
 STYLE_CHECKS = (("ruff", "check", "."), ("ruff", "format", "--check", "."))
@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
 
 
 def prepare_environment() -> None:
-    """Make `.venv` hold exactly what the lock says, and this clone as the package."""
+    """Make `.venv` match the lock file, with this clone as the package."""
     if sys.version_info < (3, 11):
         sys.exit(
             f"stringcast needs Python 3.11 or newer; this is {sys.version.split()[0]}. "
@@ -73,7 +73,7 @@ def prepare_environment() -> None:
     if is_new:
         options = ("--no-deps", "--no-build-isolation", "--editable", ROOT)
         install_packages(*options, sources=PACKAGE_FILES)
-        # Compiled kernels hold the names that modules had when they were compiled.
+        # Compiled kernels hold old names of modules.
         for kernel in ROOT.rglob("__pycache__/*.nb[ci]"):
             kernel.unlink()
     link_package()
@@ -85,8 +85,7 @@ def link_package() -> None:
     """Put the package `stringcast`, made of links, on the environment's path.
 
     Editors, call graphs and mypy follow links, but not the import hook of an editable
-    install. The hook stays for Windows without links, where only these tools miss the
-    package.
+    install. Windows without links needs the hook; these tools miss the package there.
     """
     folder = LINKS / "stringcast"
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +114,7 @@ def digest_file(sources: Sequence[Path]) -> Path:
 
 
 def compute_digest(sources: Sequence[Path]) -> str:
-    """Return a hash of files, of this Python's version and of this clone's place."""
+    """Return a hash of files, the Python version and the path of this clone."""
     digest = hashlib.sha256(sys.version.encode() + bytes(ROOT))
     for file in sources:
         digest.update(file.read_bytes())
@@ -173,7 +172,7 @@ def run_tests(arguments: list[str]) -> int:
     that wait for real clocks run afterwards. A signal gives a negative status, and
     pytest ends with 5 if it found no test.
     """
-    # Tests start many processes, each of which would compile all modules anew.
+    # Otherwise each process of the tests compiles all modules again.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     statuses = [run_module(*check) for check in STYLE_CHECKS]
     if arguments not in ([], ["--all"]):
@@ -193,14 +192,14 @@ def run_tests(arguments: list[str]) -> int:
 
 
 def run_study(arguments: list[str]) -> int:
-    """Run a study of tests/benchmarks, with PyElastica if the study simulates by it."""
+    """Run a study of tests/benchmarks; install PyElastica if the study needs it."""
     if any(argument.endswith(".simulator=pyelastica") for argument in arguments):
         install_peers()
     return run_module("tests.benchmarks", *arguments)
 
 
 def run_benchmark(arguments: list[str]) -> int:
-    """Run the speed benchmark; install the packages with which it compares."""
+    """Run the speed benchmark; install the packages for comparison."""
     if arguments != ["diagnosis"]:
         install_peers()
     return run_module("tests.benchmarks.speed.bench", *arguments)
