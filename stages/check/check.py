@@ -60,11 +60,11 @@ def collect_findings(dataset: CheckedDataset) -> list[Finding]:
     Findings with the same place and remedy are merged: the statement is that of the
     first, for all their trials.
     """
-    return [*_find_all(dataset)]
+    return [*_run_checks(dataset)]
 
 
 @lru_cache(maxsize=4)
-def _find_all(dataset: CheckedDataset) -> tuple[Finding, ...]:
+def _run_checks(dataset: CheckedDataset) -> tuple[Finding, ...]:
     merged: dict[tuple[str, ...], Finding] = {}
     for check in CHECKS:
         for finding in check(dataset):

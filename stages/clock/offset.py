@@ -189,8 +189,8 @@ def fit_clock_offset(
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
     if len(set(windows.values())) > 1:
-        apart, _ = _estimate_apart(model, used, rng, progress)
-        return apart
+        separate, _ = _estimate_separate_offsets(model, used, rng, progress)
+        return separate
 
     window = windows[used[0].name]
     part = partial_progress(progress, 0, 2)
@@ -199,19 +199,19 @@ def fit_clock_offset(
     if together.clock.is_common:
         progress(1.0)
         return together
-    apart, joint_fit = _estimate_apart(model, used, rng, progress)
+    separate, joint_fit = _estimate_separate_offsets(model, used, rng, progress)
     # The search with one offset may have missed the string found with several
-    offsets = [interval.value for interval in apart.clock.by_trial.values()]
+    offsets = [interval.value for interval in separate.clock.by_trial.values()]
     middle = float(np.median(offsets)) - window.middle
     common_fit = refit_from_string(common_fit, joint_fit, middle)
     if explains_more(joint_fit, common_fit):
-        return apart
+        return separate
     profile = profile_offset(common_fit, window.half_width + EDGE_S)
     together = _describe_common(common_fit, profile, used, window)
     return replace(together, clock=replace(together.clock, is_common=True))
 
 
-def _estimate_apart(
+def _estimate_separate_offsets(
     model: Model,
     trials: Sequence[CheckedTrial],
     rng: np.random.Generator,
@@ -240,8 +240,8 @@ def _estimate_apart(
     joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
 
     background = effect_responses(joint_fit)
-    posterior = _posterior(joint_fit, background, _own_columns(joint_fit))
-    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_s(trials)
+    posterior = _posterior(joint_fit, background, _slopes_by_offset(joint_fit))
+    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
     by_trial = {}
     for name, mean, deviation in zip(
         alone, posterior.mean, posterior.standard_deviation, strict=True
@@ -262,9 +262,9 @@ def _describe_common(
 ) -> FittedOffset:
     """Describe the common offset of a fit to all trials within a window."""
     background = effect_responses(clock)
-    frame_s = _longest_frame_s(trials)
+    frame_s = _longest_frame_interval_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    own = _posterior(clock, background, _own_columns(clock))
+    own = _posterior(clock, background, _slopes_by_offset(clock))
     scatter_s = _scatter_of_trials(own)
     interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
     estimate = ClockOffset(
@@ -384,12 +384,12 @@ def _rival_peak(
     log_likelihood: np.ndarray, offsets: np.ndarray, best: float
 ) -> int | None:
     """Return the index of the highest peak of a profile away from the fit's offset."""
-    here = int(np.argmin(np.abs(offsets - best)))
-    level = log_likelihood[here] - RIVAL_LOG_LIKELIHOOD
-    away = np.abs(np.arange(len(offsets)) - here) >= RIVAL_DISTANCE
+    nearest = int(np.argmin(np.abs(offsets - best)))
+    level = log_likelihood[nearest] - RIVAL_LOG_LIKELIHOOD
+    is_distant = np.abs(np.arange(len(offsets)) - nearest) >= RIVAL_DISTANCE
     inner = np.concatenate([[-np.inf], log_likelihood, [-np.inf]])
     is_peak = (inner[1:-1] >= inner[:-2]) & (inner[1:-1] >= inner[2:])
-    candidates = np.flatnonzero(is_peak & away & (log_likelihood > level))
+    candidates = np.flatnonzero(is_peak & is_distant & (log_likelihood > level))
     if not len(candidates):
         return None
     return int(candidates[np.argmax(log_likelihood[candidates])])
@@ -403,7 +403,7 @@ def _posterior(
     return clock_posterior(clock, background, columns, precision)
 
 
-def _own_columns(clock: ClockFit) -> ByTrial:
+def _slopes_by_offset(clock: ClockFit) -> ByTrial:
     """Return derivatives by the offset of each trial, (K, 2 n)."""
     slopes = time_slopes(clock)
     columns = []
@@ -444,14 +444,14 @@ def _scatter_of_trials(own: BackgroundPosterior) -> float:
     explain the differences (Paule and Mandel 1982, J. Res. NBS 87, 377).
     """
     freedom = len(own.mean) - 1
-    excess = partial(_differences_of_trials, own)
+    excess = partial(_chi_squared_of_differences, own)
     if freedom < 1 or excess(0.0) <= freedom:
         return 0.0
     largest = np.ptp(own.mean) * np.sqrt(len(own.mean))
     return float(brentq(lambda scatter_s: excess(scatter_s) - freedom, 0.0, largest))
 
 
-def _differences_of_trials(own: BackgroundPosterior, scatter_s: float) -> float:
+def _chi_squared_of_differences(own: BackgroundPosterior, scatter_s: float) -> float:
     """Compute chi squared of the differences between the trials' own offsets.
 
     scatter_s: added to their posterior.
@@ -470,10 +470,10 @@ def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
     if freedom < 1 or np.ptp(own.mean) < frame_s:
         return False
     widening = HALF_WIDTH / NORMAL_95
-    square = _differences_of_trials(own, 0.0) / widening**2
+    square = _chi_squared_of_differences(own, 0.0) / widening**2
     return bool(chdtrc(freedom, square) < SIGNIFICANCE)
 
 
-def _longest_frame_s(trials: Sequence[CheckedTrial]) -> float:
+def _longest_frame_interval_s(trials: Sequence[CheckedTrial]) -> float:
     """Find the longest median time between two frames of a trial [s]."""
     return max(float(np.median(np.diff(trial.frame_t))) for trial in trials)

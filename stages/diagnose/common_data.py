@@ -79,9 +79,9 @@ def fit_to_common_data(
         alternatives = alternative_parameter_starts(current.data, current.fit)
         starts = np.stack([shared, *alternatives])
         moved_to = _refit(current.data, current.fit, starts, min_gain)
-        elsewhere = evaluate_with_own_error(searched, rival, moved_to)
-        if elsewhere.fit.log_evidence > current.fit.log_evidence:
-            current = elsewhere
+        alternative = evaluate_with_own_error(searched, rival, moved_to)
+        if alternative.fit.log_evidence > current.fit.log_evidence:
+            current = alternative
 
         surprise = 0.0  # error of the log-likelihood that the last pass predicted
         for _ in range(MAX_PASSES):

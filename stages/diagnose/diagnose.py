@@ -264,17 +264,17 @@ def build_diagnosis(
     base_fit = judgement.base_fit
     found = set(state.fit.hypothesis.cause_names)
     is_named = not found.isdisjoint(judgement.verdict.causes)
-    shown = state if is_named else replace(state, fit=base_fit)
+    reported = state if is_named else replace(state, fit=base_fit)
     # A random stream separate from those of the fits
     rng = np.random.default_rng([settings.seed, len(data.trials)])
-    budget = error_budget(shown, base_fit, rng)
+    budget = error_budget(reported, base_fit, rng)
     # Causes that were found but not named have entries, too
     entered_fits = budget.nested_fits if is_named else nested_fits(state, base_fit)
-    causes = tables.causes_table(shown, judgement, settings.interval_half_width)
+    causes = tables.causes_table(reported, judgement, settings.interval_half_width)
     finding = _finding_table(
         trials,
         settings,
-        shown,
+        reported,
         judgement,
         gain,
         experiment,
@@ -286,7 +286,7 @@ def build_diagnosis(
         finding=finding,
         causes=causes,
         held_out=gain.table,
-        residuals=tables.residuals_table(state.prepared, base_fit, shown.fit),
+        residuals=tables.residuals_table(state.prepared, base_fit, reported.fit),
         hypotheses=tables.hypotheses_table(
             state,
             budget.nested_fits,
@@ -296,7 +296,7 @@ def build_diagnosis(
         entries=tables.entries_table(data, entered_fits),
         screening=tables.screening_table(state),
         likeness=tables.likeness_table(state),
-        missing=tables.missing_table(data, shown.fit, criteria),
+        missing=tables.missing_table(data, reported.fit, criteria),
         commands=experiment.commands,
         control_points=experiment.control_points,
         predicted=experiment.predicted,
@@ -322,7 +322,7 @@ def effects_not_tried(
 def _finding_table(
     trials: TrialsByUse,
     settings: DiagnosisSettings,
-    shown: SelectionState,
+    reported: SelectionState,
     judgement: Judgement,
     gain: HeldOutGain,
     experiment: ProposedExperiment,
@@ -330,16 +330,16 @@ def _finding_table(
     causes: pd.DataFrame,
 ) -> pd.DataFrame:
     """Build the table FINDING: the verdict, diagnosis.json and extended.yaml."""
-    data = shown.prepared.data
+    data = reported.prepared.data
     verdict = judgement.verdict
     half_width = settings.interval_half_width
     base, extended = (
         parameter_uncertainty(data, fit, judgement.background, half_width)
-        for fit in (judgement.base_fit, shown.fit)
+        for fit in (judgement.base_fit, reported.fit)
     )
-    trials_used = trials_document(shown.prepared, trials.left_out)
+    trials_used = trials_document(reported.prepared, trials.left_out)
     unexplained = unexplained_document(
-        data, shown.fit, judgement, budget, settings.criteria
+        data, reported.fit, judgement, budget, settings.criteria
     )
     document = {
         "format": FORMAT_VERSION,
@@ -347,8 +347,8 @@ def _finding_table(
         "interrupted": judgement.interrupted,
         "causes": [cause_document(causes, name) for name in verdict.causes],
         "alternatives": alternatives_document(judgement),
-        "set_aside": effects_with_reasons(shown.set_aside),
-        "not_tried": effects_with_reasons(effects_not_tried(settings, shown)),
+        "set_aside": effects_with_reasons(reported.set_aside),
+        "not_tried": effects_with_reasons(effects_not_tried(settings, reported)),
         "indistinguishable": [list(group) for group in verdict.lookalike_groups],
         "base": {"parameters": judgement.base_fit.values, **base},
         "extended": extended,
@@ -366,7 +366,7 @@ def _finding_table(
         "sentence": " ".join(filter(None, sentences)),
         "diagnosis": json.dumps(replace_non_finite(document), indent=2),
         "extended": _extended_model_yaml(
-            settings.model, shown.fit, extended["intervals"]
+            settings.model, reported.fit, extended["intervals"]
         ),
     }
     return DIAGNOSIS_SUMMARY.check(pd.DataFrame([row]))

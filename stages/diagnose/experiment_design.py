@@ -138,8 +138,8 @@ class Rivals:
             white_slopes = trial.whiten([slopes[other]], grid_points)
             normal = self.informations[other] + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)
-            left = white + step @ white_slopes
-            log_odds[true, other] = 0.5 * float(white @ left)
+            remainder = white + step @ white_slopes
+            log_odds[true, other] = 0.5 * float(white @ remainder)
             nearest = residuals[other] + step @ slopes[other]
             difference_m = trial.tip_rms_by_trial([nearest - residuals[true]])
             if remainder_hides(float(difference_m[0]), self.remainder_m):

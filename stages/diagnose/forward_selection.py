@@ -55,7 +55,7 @@ def select_causes(
     for number in range(len(state.nameable_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])
         state = _add_step(state, effects, criteria, seed)
-        if _hides_others(state, criteria):
+        if _is_evident_but_small(state, criteria):
             small = _add_small_cause(state, criteria, rng, starts)
             small = _add_step(small, effects, criteria, seed)
             state = small if small.steps[-1].accepted else state
@@ -95,7 +95,7 @@ def _add_step(
     return replace(state, steps=(*state.steps, step))
 
 
-def _hides_others(state: SelectionState, criteria: Criteria) -> bool:
+def _is_evident_but_small(state: SelectionState, criteria: Criteria) -> bool:
     """Return whether the best cause of the last step is evident but too small.
 
     A cause that hardly moves the tip may be more evident than one that moves it more,

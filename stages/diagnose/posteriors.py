@@ -368,13 +368,13 @@ def _shared_probabilities(
         return {}
     best = fits[max(names, key=probabilities.__getitem__)]
     remainder_m = rms(unexplained_tip_rms(data, best))
-    alike = []
+    similar = []
     for name in names:
         difference_m = rms(tip_shift_rms(data, best, fits[name]))
         if name in unresolved or remainder_hides(difference_m, remainder_m):
-            alike.append(name)
-    share = sum(probabilities[name] for name in alike) / len(alike)
-    return dict.fromkeys(alike, share)
+            similar.append(name)
+    share = sum(probabilities[name] for name in similar) / len(similar)
+    return dict.fromkeys(similar, share)
 
 
 def limit_by_agreement(

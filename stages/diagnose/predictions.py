@@ -131,7 +131,9 @@ def log_likelihood_gains(
 ) -> np.ndarray:
     """Gain of each trial's log-likelihood by the extended model's prediction, (K,)."""
     pairs = zip(base, extended, strict=True)
-    return np.array([more.log_likelihood - less.log_likelihood for less, more in pairs])
+    return np.array(
+        [after.log_likelihood - before.log_likelihood for before, after in pairs]
+    )
 
 
 def improves_predictions(
@@ -143,8 +145,8 @@ def improves_predictions(
     A sum over trials would be dominated by a badly predicted one.
     """
     ratios = []
-    for less, more in zip(base, extended, strict=True):
-        ratios.append(rms(more.residual) / rms(less.residual))
+    for before, after in zip(base, extended, strict=True):
+        ratios.append(rms(after.residual) / rms(before.residual))
     gains = log_likelihood_gains(base, extended)
     return bool(np.median(ratios) < 1 and np.median(gains) > 0)
 

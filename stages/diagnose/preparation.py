@@ -191,8 +191,8 @@ def refine_base_model(prepared: PreparedData) -> PreparedData:
     refined = refine_to_convergence(prepared, prepared.base_fit)
     restarted = fit_from_beginnings(refined.prepared.data, refined.fit)
     if restarted.log_evidence > refined.fit.log_evidence + STRONG_LOG_EVIDENCE:
-        elsewhere = refine_to_convergence(refined.prepared, restarted)
-        refined = max(refined, elsewhere, key=lambda option: option.fit.log_evidence)
+        other = refine_to_convergence(refined.prepared, restarted)
+        refined = max(refined, other, key=lambda option: option.fit.log_evidence)
     return replace(refined.prepared, base_fit=refined.fit)
 
 

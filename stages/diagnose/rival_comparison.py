@@ -61,7 +61,7 @@ def compare_rivals(
     waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
     fitted = list[Fit]()
     while True:
-        fitted += _catch_up_with_parent(prepared, parent, compared)
+        fitted += _refit_rivals_behind_parent(prepared, parent, compared)
         resolved, unresolved = _split_by_resolution(
             prepared, step, parent, fitted, criteria
         )
@@ -136,7 +136,7 @@ def _fit_close_rivals_precisely(
     for k in close:
         if ranked[k].log_evidence_error > NEGLIGIBLE_LOG_EVIDENCE:
             unsettled.append(k)
-    return _fit_some_again(prepared, ranked, unsettled, known)
+    return _refit_selected(prepared, ranked, unsettled, known)
 
 
 def _split_by_resolution(
@@ -192,7 +192,7 @@ def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> lis
     return ahead
 
 
-def _catch_up_with_parent(
+def _refit_rivals_behind_parent(
     prepared: PreparedData, parent: Fit, compared: Sequence[Fit]
 ) -> list[Fit]:
     """Refit rivals from their parent that explain less than it, which they contain."""
@@ -202,10 +202,10 @@ def _catch_up_with_parent(
 
     least = log_likelihood(parent) - NEGLIGIBLE_LOG_EVIDENCE
     behind = [k for k, fit in enumerate(compared) if log_likelihood(fit) < least]
-    return _fit_some_again(prepared, compared, behind, [parent])
+    return _refit_selected(prepared, compared, behind, [parent])
 
 
-def _fit_some_again(
+def _refit_selected(
     prepared: PreparedData,
     fits: Sequence[Fit],
     numbers: Sequence[int],

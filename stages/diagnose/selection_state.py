@@ -100,8 +100,8 @@ def refine_fit(prepared: PreparedData, fit: Fit) -> RefinedFit:
     if other.log_evidence <= fit.log_evidence:
         return refined
     # The gain may be numerical error, which was subtracted at the old optimum
-    elsewhere = correct_discretisation_once(refined.prepared, other)
-    return max(refined, elsewhere, key=lambda option: option.fit.log_evidence)
+    restarted = correct_discretisation_once(refined.prepared, other)
+    return max(refined, restarted, key=lambda option: option.fit.log_evidence)
 
 
 def with_fit(state: SelectionState, fit: Fit) -> SelectionState:
@@ -127,9 +127,9 @@ def add_cause(
 ) -> SelectionState:
     """Put a fit with a further cause into a state; re-estimate noise and errors."""
     with_noise = reestimate_noise(state.prepared, best)
-    joined = correct_discretisation_once(with_noise, best)
-    prepared = joined.prepared
-    fit = joined.fit
+    corrected = correct_discretisation_once(with_noise, best)
+    prepared = corrected.prepared
+    fit = corrected.fit
     steps = state.steps
     if with_noise.point_counts != state.prepared.point_counts:
         counts = with_noise.outlier_count, state.prepared.outlier_count

@@ -60,8 +60,8 @@ def explained_shares(
                 continue
             misfit = _tip_rms(trial, before[k], frames)
             if misfit > 0:
-                left = _tip_rms(trial, after[k], frames)
-                shares.append(1 - (left / misfit) ** 2)
+                remaining = _tip_rms(trial, after[k], frames)
+                shares.append(1 - (remaining / misfit) ** 2)
             break
     return np.array(shares)
 

@@ -142,11 +142,11 @@ def hypotheses_table(
 def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
     """Build the table ENTRIES from the fits with no cause, the first, and so on."""
     frames = []
-    for number, (less, more) in enumerate(pairwise(nested), 1):
-        gains = more.log_likelihood_by_trial - less.log_likelihood_by_trial
+    for number, (parent, extended) in enumerate(pairwise(nested), 1):
+        gains = extended.log_likelihood_by_trial - parent.log_likelihood_by_trial
         residuals = {
-            "before": residuals_without_nuisance(data, less),
-            "after": residuals_without_nuisance(data, more),
+            "before": residuals_without_nuisance(data, parent),
+            "after": residuals_without_nuisance(data, extended),
         }
         for k, trial in enumerate(data.trials):
             squares = {}
@@ -157,9 +157,9 @@ def entries_table(data: TrialData, nested: Sequence[Fit]) -> pd.DataFrame:
             table[["before", "after"]] **= 0.5
             table = table.assign(
                 number=number,
-                cause=more.hypothesis.cause_names[-1],
+                cause=extended.hypothesis.cause_names[-1],
                 log_likelihood=gains[k],
-                evidence=more.log_evidence - less.log_evidence,
+                evidence=extended.log_evidence - parent.log_evidence,
             )
             frames.append(table)
     if not frames:

@@ -108,11 +108,11 @@ class NormalInValues:
         moved = parameter_exponents(self.parameters, np.clip(values, low, high))
         proposed = np.where(is_inside[:, None], moved, chi)
 
-        root_there, log_prior_there = self._step_root(proposed)
-        normal_back = np.sum(root_there * step[:, :, None], axis=1)
-        there = log_prior_there + _log_normal(root_there, normal_back)
-        here = log_prior + _log_normal(root, normal)
-        return proposed, np.where(is_inside, there - here, -np.inf)
+        new_root, new_log_prior = self._step_root(proposed)
+        normal_back = np.sum(new_root * step[:, :, None], axis=1)
+        reverse = new_log_prior + _log_normal(new_root, normal_back)
+        forward = log_prior + _log_normal(root, normal)
+        return proposed, np.where(is_inside, reverse - forward, -np.inf)
 
     def _step_root(self, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compute lower roots of the precision of steps in values, (K, P, P).

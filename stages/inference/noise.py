@@ -161,7 +161,7 @@ def remove_smooth_motion(
     Returns the rest and a robust estimate of the noise over sigma. If too few degrees
     of freedom would be left, nothing is removed.
     """
-    functions = _functions_below_noise(trial)
+    functions = _functions_of_smooth_motion(trial)
     everywhere = np.ones(len(residual), dtype=bool)
     gram_by_frame = functions.gram_by_frame(np.ones(len(residual)))
     gram = sum_products(functions.in_time, functions.in_time, gram_by_frame)
@@ -179,7 +179,7 @@ def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
 
     White noise has unit variance in them.
     """
-    functions = _functions_below_noise(trial)
+    functions = _functions_of_smooth_motion(trial)
     frames = len(trial.times)
     sums = np.zeros((frames, PLACE_FUNCTIONS, 2))
     products = functions.in_place[:, :, None] * residual[:, None, :]
@@ -189,7 +189,7 @@ def noise_track(trial: MeasuredTrial, residual: np.ndarray) -> NoiseTrack:
     return NoiseTrack(functions.in_time, (inverse @ sums).reshape(frames, -1))
 
 
-def _functions_below_noise(trial: MeasuredTrial) -> SmoothFunctions:
+def _functions_of_smooth_motion(trial: MeasuredTrial) -> SmoothFunctions:
     """Choose smooth functions that cannot fit all noise of a trial."""
     in_time = time_splines(trial.times, knot_spacing(trial.times))
     in_place = place_functions(trial.s, trial.model.string.length)

@@ -63,7 +63,7 @@ def profile_reaches(
     ends = np.clip(chi + step, 0.0, 1.0)
     moved = (ends - chi)[range(len(index)), index]
     normal_fall = 0.5 * (moved / deviation) ** 2
-    fall = _falls(problem, problem.residuals(ends), best_loss)
+    fall = _log_likelihood_falls(problem, problem.residuals(ends), best_loss)
     is_normal = (fall >= normal_fall / NORMAL_FALL_RATIO) & (
         fall <= normal_fall * NORMAL_FALL_RATIO
     )
@@ -79,9 +79,9 @@ def profile_reaches(
         starts = np.array([profile.start for profile in going])
         held = np.arange(len(chi)) == [[profile.index] for profile in going]
         runs = fit_least_squares(problem, starts, FIT_ITERATIONS, held=held)
-        falls = _falls(problem, runs.residual, best_loss)
-        for profile, here, fall_here in zip(going, runs.chi, falls, strict=True):
-            profile.advance(here, fall_here)
+        falls = _log_likelihood_falls(problem, runs.residual, best_loss)
+        for profile, chi_now, fall_now in zip(going, runs.chi, falls, strict=True):
+            profile.advance(chi_now, fall_now)
 
     reach = half_width * deviation
     for number, profile in profiles.items():
@@ -89,7 +89,9 @@ def profile_reaches(
     return np.asarray(reach.reshape(-1, 2))
 
 
-def _falls(problem: Problem, residual: np.ndarray, best_loss: float) -> np.ndarray:
+def _log_likelihood_falls(
+    problem: Problem, residual: np.ndarray, best_loss: float
+) -> np.ndarray:
     """Compute the best log-likelihood minus those of residuals (R, N)."""
     loss = huber_loss(residual, problem.limit)
     return np.asarray(0.5 * residual.shape[1] * (loss - best_loss))
@@ -123,14 +125,14 @@ class _Profile:
     def __post_init__(self) -> None:
         self.before = self.best
 
-    def advance(self, here: np.ndarray, fall: float) -> None:
+    def advance(self, chi: np.ndarray, fall: float) -> None:
         """Double the distance, or stop if the likelihood has fallen enough.
 
-        here: the fixed exponent and the best others, (P,).
+        chi: the fixed exponent and the best others, (P,).
         """
-        step = here - self.before
+        step = chi - self.before
         deviation = float(np.sqrt(2 * max(fall, 0.0)))
-        distance = abs(here[self.index] - self.best[self.index])
+        distance = abs(chi[self.index] - self.best[self.index])
         if deviation >= self.half_width:
             rise = deviation - self.deviation_before
             share = (self.half_width - self.deviation_before) / rise
@@ -139,7 +141,7 @@ class _Profile:
             return
         self.reach = distance
         ratio = distance / abs(step[self.index])
-        self.start = np.clip(here + ratio * step, 0.0, 1.0)
-        self.is_ended = bool(self.start[self.index] == here[self.index])  # at a bound
-        self.before = here
+        self.start = np.clip(chi + ratio * step, 0.0, 1.0)
+        self.is_ended = bool(self.start[self.index] == chi[self.index])  # at a bound
+        self.before = chi
         self.deviation_before = deviation

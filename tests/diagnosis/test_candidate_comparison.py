@@ -264,7 +264,9 @@ def test_a_rival_that_explains_less_than_its_parent_is_refitted_from_it(monkeypa
     # A useless amplitude costs evidence, but not likelihood
     alike = replace(named_fit("wind", 45.0), log_likelihood_by_trial=np.array([59.5]))
     behind = replace(named_fit("tilt", 52.0), log_likelihood_by_trial=np.array([20.0]))
-    fits = rival_comparison._catch_up_with_parent(None, parent, [ahead, behind, alike])
+    fits = rival_comparison._refit_rivals_behind_parent(
+        None, parent, [ahead, behind, alike]
+    )
     assert fitted == ["tilt"]
     assert [fit.log_evidence for fit in fits] == [60.0, 55.0, 45.0]
 
