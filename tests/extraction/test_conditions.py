@@ -40,6 +40,7 @@ SETTINGS.pop("_target_")
 REQUIRED_SEVERITIES = {  # severities that must be read, as counted from 1
     "plain": 1,
     "lamp at one side": 2,
+    "arm's shadow": 2,
     "flicker": 2,
     "cluttered wall": 2,
     "moving cable": 2,
@@ -117,11 +118,10 @@ def test_unreadable_frames_are_refused_with_the_reason(
 def test_only_the_quality_checks_refuse_wrong_lines(cast, monkeypatch):
     """The quality checks refuse wrong lines that would otherwise be accepted.
 
-    Three films mislead. Of 36 frames, 3 lines are 8 px off and more without the quality
-    checks and none with them. With them one tip is 3.6 px off, where wall that was in
-    shadow lies beyond it.
+    Two films mislead. Of 24 frames, 2 lines are 10 px off without the quality checks,
+    and none with them.
     """
-    films = [("cluttered wall", 3), ("arm's shadow", 2), ("drifting dust", 2)]
+    films = [("cluttered wall", 3), ("drifting dust", 2)]
     checked = pd.concat([scored(cast, *one) for one in films])
     monkeypatch.setattr(
         import_module("stringcast.stages.extract.extract"),
@@ -129,8 +129,8 @@ def test_only_the_quality_checks_refuse_wrong_lines(cast, monkeypatch):
         lambda *_: None,
     )
     believed = pd.concat([scored(cast, *one) for one in films])
-    assert checked["read"].sum() >= 24
-    assert checked["wrong"].sum() <= 1
+    assert checked["read"].sum() >= 16
+    assert not checked["wrong"].any()
     assert (checked["line_px"] > 3).sum() == 0
     assert (believed["line_px"] > 3).sum() >= 2
 
