@@ -354,7 +354,7 @@ def test_the_same_record_gives_the_same_page(record):
     assert cast_page(one) == cast_page(one)
 
 
-def test_what_data_say_cannot_become_code(arm, small):
+def test_what_data_say_cannot_become_code(arm, small, undrawn):
     evil = "</script><img src=x onerror=alert(1)>"
     cast = simulated_cast(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
@@ -592,7 +592,7 @@ def unreported(cast):
         ),
     ],
 )
-def test_what_is_missing_is_said(arm, small, spoil, words):
+def test_what_is_missing_is_said(arm, small, undrawn, spoil, words):
     page = Page(cast_page(record_of(arm, small, [spoil(simulated_cast(arm, small))])))
     for word in words:
         assert word in re.sub(r"\s+([.:,])", r"\1", page.text)
@@ -601,7 +601,7 @@ def test_what_is_missing_is_said(arm, small, spoil, words):
     assert len(films) == len(page.all("canvas"))
 
 
-def test_estimation_alone_has_a_page(arm, small):
+def test_estimation_alone_has_a_page(arm, small, undrawn):
     cast = simulated_cast(arm, small)
     page = Page(
         cast_page(
