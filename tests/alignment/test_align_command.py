@@ -52,7 +52,7 @@ def test_a_range_that_is_none_is_refused(told, words):
 
 
 def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
-    arm, camera, called, tmp_path
+    arm, camera, called, undrawn, tmp_path
 ):
     bench = stand(Model(String(0.3), arm, camera))
     seen = bench.observation(OFF)

@@ -106,7 +106,9 @@ def test_a_measured_camera_replaces_the_configured_one_except_on_the_command_lin
     )
 
 
-def test_a_bad_calibration_is_refused_and_its_page_has_the_reason(folders, tmp_path):
+def test_a_bad_calibration_is_refused_and_its_page_has_the_reason(
+    folders, tmp_path, undrawn
+):
     composed = compose_calibration(folders, "calibrate.views=20")
     with pytest.raises(
         UserError,

@@ -201,7 +201,7 @@ def study(tmp_path):
     return ledger, (sys.executable, "-S", str(tmp_path / "stand_in.py"))
 
 
-def test_a_study_goes_on_and_scores_what_has_ended(study):
+def test_a_study_goes_on_and_scores_what_has_ended(study, undrawn):
     ledger, command = study
     keys = [job.key for job in ledger.jobs()]
     Attempt(ledger.folder, keys[0], command)(1)

@@ -17,7 +17,7 @@ from tests.faults.toy import CALLS, toy_experiment, toy_run
 REASON = "dry run with the arm disabled"
 
 
-def test_dry_run_makes_an_invalid_trial(called, tmp_path):
+def test_dry_run_makes_an_invalid_trial(called, tmp_path, undrawn):
     folder = tmp_path / "run"
     result = called("+experiment=quick", "execute=dry", f"hydra.run.dir={folder}")
     assert result.returncode == 0, result.stderr

@@ -207,7 +207,7 @@ def test_the_heading_is_what_was_found(undrawn):
     assert heading(sweep_page(record(swept().assign(state="pending")))) == "all done"
 
 
-def test_failed_jobs_are_listed_and_left_out_of_the_means():
+def test_failed_jobs_are_listed_and_left_out_of_the_means(undrawn):
     table = swept()
     table.loc[0, ["state", "error", "hit", "E_after"]] = [
         "failed",
@@ -223,13 +223,13 @@ def test_failed_jobs_are_listed_and_left_out_of_the_means():
 
 
 @pytest.mark.parametrize("state", ["failed", "pending"])
-def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state):
+def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state, undrawn):
     page = sweep_page(record(swept().assign(state=state)))
     assert "0 of 16" in page
     assert "no job is done" in page
 
 
-def test_one_setting_one_seed_and_no_casts():
+def test_one_setting_one_seed_and_no_casts(undrawn):
     table = (
         swept(targets=("near",), seeds=(0,))
         .drop(columns="seed")
