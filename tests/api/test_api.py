@@ -1,7 +1,4 @@
-"""The interface of `import stringcast` gives the same answers as the command line.
-
-It needs neither folders nor Hydra's terms.
-"""
+"""The Python interface gives the same answers as the command line."""
 
 import json
 import subprocess
@@ -22,7 +19,7 @@ BENCH = {"links": [0.25, 0.20, 0.135], "base": [0.2, 0.2]}
 HEAVY = ("numba", "cv2", "matplotlib", "pandas", "hydra", "pyarrow")
 
 
-def test_the_package_alone_loads_nothing():
+def test_importing_the_package_loads_nothing():
     code = f"import stringcast, sys; print([m for m in {HEAVY} if m in sys.modules], len(dir(stringcast)))"
     said = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -35,7 +32,7 @@ def test_the_package_alone_loads_nothing():
         _ = sc.diagnos
 
 
-def test_trials_are_the_same_from_a_folder_and_from_tables():
+def test_trials_from_folder_and_tables_are_equal():
     read = sc.read(SAMPLE)
     assert len(read) == 5
     pd.testing.assert_frame_equal(sc.sample().table, read.table)
@@ -82,7 +79,7 @@ def test_trials_are_the_same_from_a_folder_and_from_tables():
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_with_the_remedy(call, says):
+def test_errors_name_the_remedy(call, says):
     with pytest.raises(sc.StringcastError, match=says):
         call()
 
@@ -94,11 +91,8 @@ def motion():
     )
 
 
-def test_the_string_is_simulated_as_it_was_planned(motion):
-    """The simulated string agrees with the planned one to 0.1 mm.
-
-    A plan is a curve, and its samples every 5 ms are commanded.
-    """
+def test_simulated_string_agrees_with_the_plan(motion):
+    """Commands sample the planned curve every 5 ms, so they differ by up to 0.1 mm."""
     planned = motion.string
     times = planned["t"].unique()
     string = sc.simulate(None, motion, "method=paper", times=times)
@@ -115,7 +109,7 @@ def test_the_string_is_simulated_as_it_was_planned(motion):
     assert inside.any()
 
 
-def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
+def test_arguments_override_the_known_string(motion, tmp_path):
     known = sc.KnownString(
         {
             "effects": ["tip_mass"],
@@ -134,11 +128,8 @@ def test_a_known_string_is_another_and_words_stand_above_it(motion, tmp_path):
     assert np.hypot(heavy["x"] - plain["x"], heavy["y"] - plain["y"]).max() > 5e-3
 
 
-def test_a_diagnosis_shows_what_it_says(tmp_path):
-    """A shown diagnosis is read from its stored tables.
-
-    Other tests cover the diagnosis itself. This one is made up from the same tables.
-    """
+def test_diagnosis_is_shown_from_its_tables(tmp_path):
+    """The tables are synthetic; other tests cover the diagnosis itself."""
     from tests.report.test_diagnosis_page import diagnosed
 
     made = DiagnosisResult(
@@ -169,7 +160,7 @@ def test_a_diagnosis_shows_what_it_says(tmp_path):
 
 
 @pytest.mark.long
-def test_the_sample_is_diagnosed_from_python(tmp_path):
+def test_sample_is_diagnosed_from_python(tmp_path):
     found = sc.diagnose(sc.read(SAMPLE))
     assert found.verdict == "effect"
     assert list(found.causes["effect"].unique()) == ["wind"]

@@ -1,4 +1,4 @@
-"""The public interface is documented by the numpydoc convention."""
+"""The public interface follows the numpydoc convention."""
 
 import pytest
 from numpydoc.validate import validate
@@ -20,6 +20,6 @@ PUBLIC = [
 
 
 @pytest.mark.parametrize("name", PUBLIC)
-def test_the_public_interface_is_documented(name):
+def test_public_interface_is_documented(name):
     errors = validate(f"stringcast.{name}")["errors"]
     assert [error for error in errors if error[0] not in OPTIONAL] == []

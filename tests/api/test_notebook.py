@@ -1,4 +1,4 @@
-"""The notebook runs from its first cell to its last, and its statements hold."""
+"""The notebook runs, and its statements hold."""
 
 import importlib.util
 import json
@@ -17,7 +17,7 @@ from tests.report.test_diagnosis_page import diagnosed
 NEEDED = ("nbclient", "nbformat", "ipykernel")
 
 
-def test_the_notebook_is_what_the_script_makes():
+def test_notebook_is_up_to_date_with_the_script():
     assert NOTEBOOK.read_text("utf-8") == notebook_text()
     cells = json.loads(notebook_text())["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
@@ -25,8 +25,8 @@ def test_the_notebook_is_what_the_script_makes():
     assert not any(line.startswith("#") for line in code[1].splitlines())
 
 
-def test_the_script_runs_and_shows_what_it_says(capsys, monkeypatch):
-    """All but the diagnosis itself, which other tests cover."""
+def test_notebook_script_runs_and_its_statements_hold(capsys, monkeypatch):
+    """The diagnosis itself is replaced; other tests cover it."""
     stored = DiagnosisResult(
         diagnosed("effect", ["tip_mass"]), experiment_for_call((), None)
     )
@@ -49,7 +49,7 @@ def test_the_script_runs_and_shows_what_it_says(capsys, monkeypatch):
     assert len(made["mine"]) == len(made["trials"])
 
 
-def test_results_draw_and_print_themselves():
+def test_results_have_pictures_and_text():
     trials = sc.sample()
     assert str(trials).count("200.0") == 5
     assert "200 frames a second" in trials._repr_html_()
@@ -66,7 +66,7 @@ def test_results_draw_and_print_themselves():
     assert (result.causes["high"] == float("inf")).all()
 
 
-def test_a_diagnosis_of_nothing_cannot_be_drawn():
+def test_empty_diagnosis_cannot_be_drawn():
     made = diagnosed("insufficient")
     artifact = replace(made, residuals=made.residuals[:0], held_out=made.held_out[:0])
     result = DiagnosisResult(artifact, experiment_for_call((), None))
@@ -79,7 +79,7 @@ def test_a_diagnosis_of_nothing_cannot_be_drawn():
     not all(map(importlib.util.find_spec, NEEDED)),
     reason="nbclient and ipykernel are installed by `python3 tasks.py docs`",
 )
-def test_the_notebook_is_executed_cell_by_cell():
+def test_notebook_runs_cell_by_cell():
     import nbclient
     import nbformat
 

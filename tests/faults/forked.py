@@ -1,9 +1,9 @@
-"""The command with toy stages, each time in a child of this process.
+"""The command line with toy stages, in child processes.
 
-A child begins at once, and everything but the stages is real. With disk.c preloaded,
-`python -m tests.faults.forked FOLDER run:N sweep:N` strikes the N-th operation that
-writes. Without :N it strikes each in turn. It then checks what is left, continues the
-run, compares, and prints what it struck.
+Everything but the stages is real. With disk.c preloaded, `python -m tests.faults.forked
+FOLDER run:N sweep:N` lets the N-th write operation fail, or each in turn without :N. It
+then checks the files, continues the run, compares the result, and prints the failed
+operations.
 """
 
 import errno
@@ -58,16 +58,16 @@ class Run:
         return (*self.arguments, f"hydra.run.dir={folder}")
 
     def look(self, folder, whole):
-        """Check that nothing that is left is half done."""
+        """Check that the files left behind are complete."""
         look_at_what_is_left(folder, whole)
 
     def made(self, folder):
-        """Return all results in a form that is the same each time."""
+        """Return all reproducible results."""
         return contents(folder)
 
 
 class Sweep:
-    """A sweep of two jobs of one cast each, from which nothing is estimated."""
+    """A sweep of two jobs of one cast each, without estimation."""
 
     arguments = (
         "--multirun",
@@ -87,11 +87,7 @@ class Sweep:
         )
 
     def look(self, folder, whole):
-        """Check what is left.
-
-        Every job's entry can be read, every run is whole as far as it has come, and a
-        table is whole.
-        """
+        """Check that ledger entries, finished steps and tables are complete."""
         for entry in Ledger(folder).jobs():
             theirs = {
                 name[13:]: digest
@@ -126,10 +122,7 @@ def process(attempt, entry, log, threads):
 
 
 def start(arguments, to):
-    """Start a child that gives the command.
-
-    Its output goes to the file of this number.
-    """
+    """Start a child that runs the command, with output to this file descriptor."""
     child = os.fork()
     if child:
         return child
@@ -148,15 +141,12 @@ def start(arguments, to):
 
 
 def get_mode(hydra, config_name, overrides):
-    """Tell Hydra not to compose all settings only to learn that no file sets a mode."""
+    """Keep Hydra from composing all settings to find that no file sets a mode."""
     return RunMode.RUN if "hydra.mode=RUN" in overrides else None
 
 
 def status(arguments):
-    """Give the command in this process and return its exit status.
-
-    Its messages are printed.
-    """
+    """Run the command in this process and return its exit status."""
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
     LazyLauncher.current = None
@@ -177,7 +167,7 @@ def ended(child):
 def command(arguments, beside):
     """Return the exit status and output of the command.
 
-    `beside` is a file for the output.
+    beside: file for the output.
     """
     with beside.open("wb") as file:
         code = ended(start(arguments, file.fileno()))
@@ -185,7 +175,7 @@ def command(arguments, beside):
 
 
 def strike(kind, folder, n, whole):
-    """Strike an operation and return it, or None where there are fewer than n."""
+    """Let the n-th operation fail and return it; None if there are fewer."""
     number, lasts = ERRORS[n % len(ERRORS)]
     count = folder.with_suffix(".count")
     count.write_bytes(bytes(4096))
@@ -218,10 +208,9 @@ def strike(kind, folder, n, whole):
 
 
 def main(place, *asked):
-    """Strike operations in a folder.
+    """Let operations in the folder `place` fail.
 
-    `place` is the folder. `asked` is `run:N` or `sweep:N`; without N each operation is
-    struck in turn.
+    asked: `run:N` or `sweep:N`; without N each operation fails in turn.
     """
     struck, whole = {}, {}
     for name, _, number in (word.partition(":") for word in asked):
@@ -239,9 +228,9 @@ def main(place, *asked):
 
 
 def struck_by(place, *asked):
-    """Run `main` in a process with disk.c preloaded, and return what it struck.
+    """Run `main` in a process with disk.c preloaded; return {name: [operation]}.
 
-    The result is {name: [operation]}. A failure shows the process's output.
+    A failure shows the process's output.
     """
     if sys.platform != "linux" or shutil.which("cc") is None:
         pytest.skip("needs Linux and a C compiler (cc)")

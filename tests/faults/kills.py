@@ -1,6 +1,6 @@
 """Kill real processes at random moments with SIGKILL.
 
-The run is continued until it has ended, and its result is compared.
+The run is continued to its end, and its result is compared.
 """
 
 import os
@@ -14,7 +14,7 @@ from tests.faults.toy import contents, toy_run
 
 
 class Forked:
-    """A run of toy stages in a child of this process, which begins at once."""
+    """A run of toy stages in a child process."""
 
     def __init__(self, here):
         self.here = here
@@ -52,11 +52,10 @@ def ended_by(run, process, moment):
 
 
 def round_of(run, folder, whole, rng, span):
-    """Kill a run again and again until it ends; return a row for each process.
+    """Kill a run repeatedly until it ends; return a row for each process.
 
-    `span` is the duration of a whole run [s].
-
-    Each process may last a little longer than the one before, so that there is an end.
+    span: duration of a whole run [s]. Each process may last slightly longer than the
+    previous one.
     """
     rows = []
     status = None
@@ -74,10 +73,7 @@ def round_of(run, folder, whole, rng, span):
 
 
 def rounds(run, folder, seed, numbers):
-    """Run rounds of these numbers, each in a folder of its own.
-
-    The uninterrupted run is made, and timed, first.
-    """
+    """Run rounds in separate folders, after timing an uninterrupted run."""
     rng = np.random.default_rng(seed)
     begun = time.monotonic()
     assert ended_by(run, run.start(folder / "whole"), 600) == 0

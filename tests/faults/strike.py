@@ -1,6 +1,6 @@
-"""Strike a whole small run at its n-th file operation.
+"""Let the n-th file operation of a small run fail.
 
-What is left is checked, the run is continued, and its result is compared.
+The files left behind are checked, the run is continued, and its result is compared.
 """
 
 import errno
@@ -32,7 +32,7 @@ KINDS = {  # the fault, and whether it lasts until the run is restarted
 class Faults:
     """A counter of file operations that lets the n-th fail.
 
-    All later ones fail too if the fault lasts. A failing write gets half done.
+    If the fault lasts, all later ones fail, too. A failing write writes half.
     """
 
     def __init__(self, patch, n, error, lasts):
@@ -48,7 +48,7 @@ class Faults:
 
     @property
     def struck(self):
-        """The operation that failed, None where there were fewer."""
+        """The operation that failed; None if there were fewer."""
         return self.done[self.n] if len(self.done) > self.n else None
 
     def failing(self, name, real):
@@ -95,12 +95,10 @@ class File:
 
 
 def strike(patch_context, n, kind, here, folder, whole):
-    """Strike an operation and return it, or None where there are fewer than n.
+    """Let the n-th operation fail and return it; None if there are fewer.
 
-    Fails where anything was lost or half done.
-
-    `patch_context` is monkeypatch.context. `whole` holds the contents of the
-    uninterrupted run.
+    Asserts that nothing is lost or incomplete. patch_context: monkeypatch.context.
+    whole: contents of the uninterrupted run.
     """
     error, lasts = KINDS[kind]
     with patch_context() as patch:
@@ -123,7 +121,7 @@ def strike(patch_context, n, kind, here, folder, whole):
 
 
 def find_litter(folder):
-    """Return what a writer that was interrupted left under other names."""
+    """Return temporary files of interrupted writes."""
     return [*folder.rglob(".*.part"), *folder.rglob(".*.replaced")]
 
 
@@ -137,10 +135,10 @@ def finished(folder: Path):
 
 
 def look_at_what_is_left(folder, whole):
-    """Check what an interrupted run left.
+    """Check the files of an interrupted run.
 
-    Every step with its final name is whole, every file has its stated content, and
-    run.json exists only for a whole run.
+    Steps with final names are complete, files have their recorded content, and run.json
+    exists only for a complete run.
     """
     left = contents(folder) if folder.exists() else {}
     left.pop("failed.txt", None)

@@ -1,8 +1,8 @@
-"""No room left, or no right to write, at any operation of a run or sweep.
+"""A full disk, or missing write permission, at any operation of a run or sweep.
 
-There is one clear error with file and remedy, and nothing is half done. The result is
-the same once there is room. Measured: a strike takes 2 s of a core; a run of one cast
-has 190 operations, a sweep of two jobs 260.
+There is one clear error with file and remedy, and no incomplete file. The continued run
+has the same result. A test takes 2 s; a run of one cast has 190 operations, a sweep of
+two jobs 260.
 """
 
 import pytest
@@ -13,10 +13,10 @@ from tests.faults.forked import struck_by
 @pytest.mark.parametrize(
     "operation", ["run:20", pytest.param("sweep:58", marks=pytest.mark.long)]
 )
-def test_a_full_disk_is_told_and_a_run_or_sweep_goes_on_to_the_same_result(
+def test_full_disk_is_reported_and_the_run_continues_to_the_same_result(
     tmp_path, operation
 ):
-    """The disk of the run is full; in the folder of the sweep one may not write."""
+    """The disk of the run is full; the folder of the sweep is write-protected."""
     (struck,) = struck_by(tmp_path, operation).values()
     assert len(struck) == 1
 
@@ -43,7 +43,7 @@ def test_a_full_disk_is_told_and_a_run_or_sweep_goes_on_to_the_same_result(
         ),
     ],
 )
-def test_a_full_disk_fails_every_kind_of_operation_once(tmp_path, name, places):
+def test_full_disk_test_covers_all_kinds_of_operations(tmp_path, name, places):
     (struck,) = struck_by(tmp_path, name).values()
     assert {"mkdir", "open", "write", "fsync", "rename"} <= {
         operation.split()[0] for operation in struck

@@ -1,7 +1,4 @@
-"""Whole runs survive every fault at every file operation.
-
-Nothing half-written counts, and nothing finished is lost.
-"""
+"""Runs survive all faults at all file operations."""
 
 import ast
 import json
@@ -37,21 +34,15 @@ CLOCKS = {
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Return what an uninterrupted run of two casts leaves."""
+    """Return the contents of an uninterrupted run of two casts."""
     folder = tmp_path_factory.mktemp("whole")
     assert toy_run(folder, toy_experiment())[0] == [*STEPS.values()] * 2
     return contents(folder)
 
 
 @pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.long), 11])
-def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(
-    tmp_path, monkeypatch, every
-):
-    """A run continues to the same result whichever operation fails.
-
-    It covers every operation of a cast, or every eleventh, with the four kinds of fault
-    in turn.
-    """
+def test_run_continues_to_the_same_result_after_any_fault(tmp_path, monkeypatch, every):
+    """All operations of a cast, or every eleventh, fail in one of four ways."""
     here, struck = toy_experiment(1, mode=Cast(("generate", "execute", "extract"))), []
     toy_run(tmp_path / "whole", here)
     unharmed = contents(tmp_path / "whole")
@@ -75,14 +66,14 @@ def test_a_run_goes_on_to_the_same_result_whichever_operation_fails(
     }
 
 
-def test_killed_processes_lose_nothing_they_had_finished(tmp_path, whole):
+def test_killed_processes_keep_finished_steps(tmp_path, whole):
     rows = rounds(Forked(toy_experiment(2, pause=0.01)), tmp_path, 5, range(2))
     assert contents(tmp_path / "whole") == whole
     assert sum(row["killed"] for row in rows) >= 3
     assert any(0 < row["steps"] < 8 for row in rows if row["killed"])
 
 
-def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
+def test_only_a_truncated_table_is_made_again(tmp_path, whole):
     here = toy_experiment()
     toy_run(tmp_path / "run", here)
     tables = sorted((tmp_path / "run").glob("iterations/*/*/*.parquet"))
@@ -95,14 +86,8 @@ def test_a_table_cut_short_is_made_again_and_nothing_else(tmp_path, whole):
         assert contents(tmp_path / "run") == whole
 
 
-def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(
-    tmp_path, whole, monkeypatch
-):
-    """A finished run that is continued never shows fewer trials.
-
-    Killed at any operation, its dataset is the same. At first it was written again,
-    beginning with one trial.
-    """
+def test_continued_run_never_shows_fewer_trials(tmp_path, whole, monkeypatch):
+    """After a kill at any operation, the dataset of a finished run is unchanged."""
     toy_run(tmp_path / "run", toy_experiment())
     for n in range(2, 30, 6):
         with monkeypatch.context() as patch:
@@ -115,11 +100,8 @@ def test_a_finished_run_that_is_gone_on_with_never_shows_fewer_trials(
     pytest.fail("going on with a finished run must not write much")
 
 
-def test_a_run_that_fails_says_why_and_does_not_pass_for_ended(tmp_path):
-    """A run that fails states the reason, and does not count as finished.
-
-    run.json is removed before the first step that it no longer describes.
-    """
+def test_failed_run_states_the_reason_and_has_no_summary(tmp_path):
+    """run.json is removed before the first step that it no longer describes."""
     here = toy_experiment()
     toy_run(tmp_path / "run", here)
     (tmp_path / "run" / "iterations/02/estimate/fit.parquet").unlink()
@@ -157,7 +139,7 @@ def holder(tmp_path):
     os.close(output)
 
 
-def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path, holder):
+def test_run_folder_is_locked_only_by_a_living_process(tmp_path, holder):
     with pytest.raises(DataError, match="another process is working in this folder"):
         toy_run(tmp_path, toy_experiment(1))
     assert not (tmp_path / "config.json").exists()
@@ -167,12 +149,8 @@ def test_two_runs_do_not_share_a_folder_and_a_dead_one_holds_nothing(tmp_path, h
     assert toy_run(tmp_path, toy_experiment(1))[0] == [*STEPS.values()]
 
 
-def test_no_clock_changes_the_result_of_a_run(tmp_path, monkeypatch, whole):
-    """No clock affects the result.
-
-    The clock jumps by years in both directions at every look, and every file gets a
-    random time.
-    """
+def test_clocks_do_not_change_results(tmp_path, monkeypatch, whole):
+    """Every clock reading jumps by years, and every file gets a random time."""
     rng = np.random.default_rng(1)
 
     class Jumping(datetime):
@@ -188,7 +166,7 @@ def test_no_clock_changes_the_result_of_a_run(tmp_path, monkeypatch, whole):
     assert contents(tmp_path / "run") == whole
 
 
-def test_only_what_is_for_information_reads_the_wall_clock():
+def test_only_informative_code_reads_the_wall_clock():
     found = set()
     for room in ("data", "stages", "pipeline"):
         for file in (ROOT / room).rglob("*.py"):
@@ -212,7 +190,7 @@ def refused(folder):
         raise ValueError("refused")
 
 
-def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
+def test_refused_empty_run_removes_its_folder(tmp_path):
     with pytest.raises(ValueError, match="refused"):
         refused(tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -225,11 +203,8 @@ def test_a_run_of_which_nothing_was_made_can_be_refused_and_forgotten(tmp_path):
 
 
 @pytest.mark.parametrize("working", [True, False])
-def test_a_run_that_is_refused_takes_nothing_of_another(tmp_path, holder, working):
-    """A refused run leaves the folder of another run unchanged.
-
-    The other works in the folder, or was killed before it had made anything.
-    """
+def test_refused_run_removes_nothing_of_another(tmp_path, holder, working):
+    """The other run works in the folder, or was killed before it made anything."""
     (tmp_path / "config.json").write_text("{}")
     if not working:
         holder.kill()

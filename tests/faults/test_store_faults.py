@@ -1,4 +1,4 @@
-"""Nothing half-written is ever read as whole, wherever the writing stops."""
+"""Incomplete writes are never read as artifacts."""
 
 import errno
 import os
@@ -49,7 +49,7 @@ def points(value):
 
 
 def value_of(folder):
-    """Return the one value of a stored artifact; fail where its tables disagree."""
+    """Return the value of a stored artifact; assert that its tables agree."""
     back = store.load(Points, folder)
     (value,) = {
         *back.points["x"],
@@ -83,7 +83,7 @@ def trial(frames=3):
 def fail_at(patch, n, error):
     """Let the n-th file operation fail, every second write halfway.
 
-    After a kill no operation works. Returns the operations that were done.
+    After a kill, all operations fail. Returns the performed operations.
     """
     done = []
 
@@ -109,7 +109,7 @@ def fail_at(patch, n, error):
 def faults(monkeypatch, error, write):
     """Call write(n) with the n-th operation failing, for every n until none fails.
 
-    Yields n, the operation, and what was raised.
+    Yields n, the operation and the exception.
     """
     for n in range(40):
         stopped = None
@@ -126,9 +126,7 @@ def faults(monkeypatch, error, write):
     pytest.fail("the fault was never reached past")
 
 
-def test_a_full_disk_at_any_operation_leaves_the_old_or_the_new_and_no_litter(
-    tmp_path, monkeypatch
-):
+def test_full_disk_leaves_the_old_or_the_new_artifact_only(tmp_path, monkeypatch):
     for n in range(40):
         store.save(points(1.0), tmp_path / str(n) / "p", {})
     full = OSError(errno.ENOSPC, "No space left on device")
@@ -143,7 +141,7 @@ def test_a_full_disk_at_any_operation_leaves_the_old_or_the_new_and_no_litter(
         assert [f.name for f in (tmp_path / str(n)).iterdir()] == ["p"]
 
 
-def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies(
+def test_kill_leaves_complete_artifacts_and_the_next_save_cleans_up(
     tmp_path, monkeypatch
 ):
     for n in range(40):
@@ -166,7 +164,7 @@ def test_a_kill_at_any_operation_leaves_whole_artifacts_and_the_next_save_tidies
         assert [f.name for f in place.parent.iterdir()] == ["p"]
 
 
-def test_a_first_save_that_fails_leaves_nothing(tmp_path, monkeypatch):
+def test_failed_first_save_leaves_nothing(tmp_path, monkeypatch):
     fault = OSError(errno.EIO, "Input/output error")
     for n, operation, _ in faults(
         monkeypatch, fault, lambda n: store.save(trial(), tmp_path / str(n) / "t", {})
@@ -182,9 +180,7 @@ def test_a_first_save_that_fails_leaves_nothing(tmp_path, monkeypatch):
         )
 
 
-def test_a_table_or_text_in_place_is_replaced_whole_or_not_at_all(
-    tmp_path, monkeypatch
-):
+def test_tables_and_texts_are_replaced_atomically(tmp_path, monkeypatch):
     store.write_text(tmp_path / "run.json", "old")
     for _, _, _ in faults(
         monkeypatch, Killed(), lambda n: store.write_text(tmp_path / "run.json", "new")
@@ -199,7 +195,7 @@ def save_until_killed(folder, output):
         os.write(output, b"%d\n" % number)
 
 
-def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
+def test_randomly_killed_processes_keep_finished_artifacts(
     tmp_path,
 ):
     moments = np.random.default_rng(5).uniform(0.0, 0.05, 4)
@@ -221,7 +217,7 @@ def test_real_processes_killed_at_random_moments_lose_nothing_they_had_finished(
             assert value_of(tmp_path / str(number % 3)) >= number
 
 
-def test_a_flipped_bit_in_the_numbers_is_noticed(tmp_path):
+def test_flipped_bit_is_detected(tmp_path):
     values = np.random.default_rng(1).normal(size=500)
     store.write_table(
         Points.TABLES["points"],
@@ -278,9 +274,7 @@ def test_missing_and_damaged_images_are_named(tmp_path):
         ("valid", ["yes", "no"], r"column 'valid' must be bool.*'yes'"),
     ],
 )
-def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(
-    tmp_path, column, wrong, words
-):
+def test_wrong_column_type_is_named_and_nothing_written(tmp_path, column, wrong, words):
     bad = points(1.0)
     bad.points[column] = wrong
     with pytest.raises(DataError, match=words):
@@ -288,7 +282,7 @@ def test_a_column_of_the_wrong_kind_is_named_and_nothing_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_place_that_cannot_be_written_is_one_clear_error(tmp_path):
+def test_unwritable_place_gives_one_clear_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(
         DataError,

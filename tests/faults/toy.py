@@ -1,7 +1,4 @@
-"""Whole small runs: the real pipeline with toy stages.
-
-The numbers of the stages depend on all their inputs.
-"""
+"""Small runs: the real pipeline with toy stages, whose results depend on all inputs."""
 
 import hashlib
 import io
@@ -36,7 +33,7 @@ CALLS = []  # names of artifacts in the order in which they were made
 
 
 class Killed(BaseException):
-    """An exception that stands for a kill: no code catches it."""
+    """An exception like a kill: no code catches it."""
 
 
 @contextmanager
@@ -49,10 +46,10 @@ composed = cache(compose_experiment)
 
 
 def toy_experiment(casts=2, pause=0.0, estimate_by=None, mode=None, **changed):
-    """Return the settings of a toy experiment.
+    """Return a toy experiment.
 
-    `pause` is the duration of each stage [s]. `estimate_by` replaces the toy
-    estimation, and `mode` the casting. `changed` holds settings as whole blocks.
+    pause: duration of each stage [s]. estimate_by: replaces the toy estimation. mode:
+    replaces the casting. changed: blocks of settings.
     """
     whole = composed(*TINY, f"max_casts={casts}")
     stages = STAGES if estimate_by is None else STAGES | {"estimate": estimate_by}
@@ -83,10 +80,7 @@ def number(*given):
 
 
 def rows(table, count=2, **columns):
-    """Return a table of the right columns.
-
-    Columns that are not given are zero, false or empty.
-    """
+    """Return a table; columns that are not given are zero, false or empty."""
     zero = {"float": 0.0, "int": 0, "bool": False, "text": "", "bytes": b""}
     return pd.DataFrame(
         {c.name: columns.get(c.name, [zero[c.kind]] * count) for c in table.columns}
@@ -165,10 +159,7 @@ STAGES = {
 
 
 def toy_run(folder, here):
-    """Perform a whole run without the report's pictures.
-
-    Returns what was made, in order, and what was printed.
-    """
+    """Perform a run with empty pictures; return the made artifacts and the output."""
     CALLS.clear()
     drawn = report.write_report
     report.write_report = lambda here, result: store.write_text(
@@ -183,7 +174,7 @@ def toy_run(folder, here):
 
 
 def contents(folder):
-    """Return content hashes of all that a run leaves, by path."""
+    """Return content hashes of all files of a run, by path."""
     # the log holds times, which differ between runs
     files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != LOG_FILE)
     shown = [

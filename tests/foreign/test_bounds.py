@@ -1,4 +1,4 @@
-"""Every number in every file of settings has bounds, which are kept."""
+"""All numbers in settings have bounds and satisfy them."""
 
 import math
 
@@ -41,7 +41,7 @@ def declared_numbers():
     return numbers
 
 
-def test_every_number_has_bounds_and_lies_within_them():
+def test_all_numbers_have_bounds_and_satisfy_them():
     numbers = declared_numbers()
     assert len(numbers) > 200
     for name, value in numbers:
@@ -76,11 +76,8 @@ def with_setting(name, value, *overrides):
         ("hardware.specimen.parameters.axial_damping", -1.0, "from 0 to 1e\\+12"),
     ],
 )
-def test_a_number_out_of_bounds_is_refused_by_its_own_name(name, value, requirement):
-    """A number out of bounds is refused by the name under which it was given.
-
-    `generate.alpha` is also that of the diagnosis, in another file.
-    """
+def test_number_out_of_bounds_is_refused_by_its_given_name(name, value, requirement):
+    """`diagnose.design.alpha` refers to `generate.alpha`."""
     settings = with_setting(name, value)
     block = name.partition(".")[0]
     with pytest.raises(
@@ -89,7 +86,7 @@ def test_a_number_out_of_bounds_is_refused_by_its_own_name(name, value, requirem
         prepare_experiment(settings, lambda name: f"file of {name}")
 
 
-def test_a_source_of_pictures_in_a_run_has_the_bounds_of_its_own_group():
+def test_picture_source_of_a_run_has_the_bounds_of_its_group():
     settings = with_setting(
         "hardware.source.seconds", 1e300, "hardware=serial", "source=device"
     )
@@ -97,18 +94,18 @@ def test_a_source_of_pictures_in_a_run_has_the_bounds_of_its_own_group():
         prepare_experiment(settings, lambda block: block)
 
 
-def test_a_box_in_a_list_of_boxes_has_bounds():
+def test_boxes_in_a_list_have_bounds():
     box = {"x": 0.5, "y": 0.5, "w": 0.1, "h": 1e300}
     for name in ("obstacles.boxes", "hardware.obstacles.boxes"):
         with pytest.raises(UserError, match=r"boxes = 1e\+300 .* from -100 to 100 m"):
             prepare_experiment(with_setting(name, [box]), lambda block: block)
 
 
-def test_a_range_without_a_number_is_refused():
+def test_range_without_a_number_is_refused():
     settings = with_setting("string.ranges.axial_damping.low", None)
     with pytest.raises(UserError, match=r"^string\.ranges\.axial_damping\.low = None"):
         prepare_experiment(settings, lambda block: block)
 
 
-def test_words_that_stand_for_a_number_are_taken():
+def test_words_allowed_instead_of_numbers_are_accepted():
     prepare_experiment(with_setting("trials_used", "all"), lambda block: block)

@@ -1,4 +1,4 @@
-"""The cost of every step is estimated, and a person is asked above a limit."""
+"""The cost of all steps is estimated; above a limit the user is asked."""
 
 import io
 import json
@@ -33,7 +33,7 @@ def ask(*overrides, console=None):
         ("+experiment=calibrate",),
     ],
 )
-def test_what_takes_minutes_is_not_asked_about(overrides):
+def test_cheap_runs_need_no_question(overrides):
     ask(*overrides)
     costs = estimate_costs(compose_experiment(*overrides))
     assert all(cost.core_hours < 0.1 for cost in costs)
@@ -58,7 +58,7 @@ def test_what_takes_minutes_is_not_asked_about(overrides):
          "diagnose.starts = 10000, trials = 3.73 s in 5 trials"),
     ],
 )  # fmt: skip
-def test_what_takes_hours_is_refused_with_the_setting_and_the_word(
+def test_expensive_runs_are_refused_with_setting_and_consent_option(
     overrides, stage, settings
 ):
     with pytest.raises(UserError, match=rf"^stage {stage} would take") as raised:
@@ -70,7 +70,7 @@ def test_what_takes_hours_is_refused_with_the_setting_and_the_word(
 
 
 @pytest.mark.parametrize(("answer", "begins"), [("y", True), ("", False)])
-def test_a_person_at_the_terminal_is_asked(monkeypatch, answer, begins):
+def test_user_at_the_terminal_is_asked(monkeypatch, answer, begins):
     console = Terminal(file=io.StringIO(), force_terminal=True, width=1000)
     keyboard = io.StringIO(f"{answer}\n")
     keyboard.isatty = lambda: True
@@ -85,7 +85,7 @@ def test_a_person_at_the_terminal_is_asked(monkeypatch, answer, begins):
 
 
 @pytest.mark.parametrize("command", ["resume", "verify"])
-def test_a_run_of_others_does_not_bring_its_own_limit(tmp_path, command):
+def test_cost_limit_is_not_inherited_from_a_run(tmp_path, command):
     costly = ("estimate=cma_es", "estimate.candidates=10000000")
     config = resolve_settings(*costly, "max_core_hours=1000000")
     (tmp_path / "config.json").write_text(json.dumps(config))

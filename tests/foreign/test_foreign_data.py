@@ -1,6 +1,6 @@
-"""Measured data of others.
+"""Foreign measured data.
 
-Nothing in them blocks, fills the memory, leaves its folder or controls the terminal.
+They cannot block, fill the memory, reach other folders or control the terminal.
 """
 
 import io
@@ -125,7 +125,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
+def test_bad_dataset_yaml_is_refused(tmp_path, case):
     text, message = REFUSED[case]
     (tmp_path / "dataset.yaml").write_text(text)
     begun = time.process_time()
@@ -134,7 +134,7 @@ def test_a_bad_dataset_yaml_is_refused_at_once(tmp_path, case):
     assert time.process_time() - begun < 5
 
 
-def test_another_encoding_is_told_as_one(tmp_path):
+def test_wrong_encoding_is_reported(tmp_path):
     (tmp_path / "dataset.yaml").write_bytes("string: {length: 0.3}".encode("utf-16"))
     with pytest.raises(
         DataError, match=r"dataset\.yaml: it is not text in UTF-8 .*Save it as UTF-8"
@@ -144,7 +144,7 @@ def test_another_encoding_is_told_as_one(tmp_path):
     assert read_metadata(tmp_path) == {"string": {"length": 0.3}}
 
 
-def test_a_scalar_may_stand_for_itself_again(tmp_path):
+def test_aliases_of_scalars_are_accepted(tmp_path):
     (tmp_path / "dataset.yaml").write_text("camera: {width: &side 64, height: *side}")
     assert read_metadata(tmp_path)["camera"] == {"width": 64, "height": 64}
 
@@ -154,7 +154,7 @@ def test_a_scalar_may_stand_for_itself_again(tmp_path):
 )
 @needs_pipes
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
+def test_pipes_and_devices_are_refused(tmp_path, file, kind):
     write_tables(
         tmp_path,
         {"string": {"length": 0.3}, "camera": CAMERA},
@@ -175,7 +175,7 @@ def test_pipes_and_devices_are_not_opened(tmp_path, file, kind):
 @pytest.mark.parametrize(
     "file", ["dataset.yaml", "grasp.csv", "points.csv", "videos/a.mp4"]
 )
-def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
+def test_links_out_of_the_folder_are_refused(tmp_path, file):
     folder = tmp_path / "data"
     write_tables(
         folder,
@@ -195,7 +195,7 @@ def test_links_that_leave_the_folder_are_not_followed(tmp_path, file):
         dataset.read_dataset(folder)
 
 
-def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
+def test_links_inside_the_folder_are_followed(tmp_path):
     write_tables(
         tmp_path / "data", {"string": {"length": 0.3}}, grasp=grasp(), points=points()
     )
@@ -205,7 +205,7 @@ def test_links_within_the_folder_and_to_it_are_followed(tmp_path):
     assert list(dataset.read_dataset(tmp_path / "link").trials) == ["a"]
 
 
-def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
+def test_too_large_tables_are_refused_unread(tmp_path, monkeypatch):
     write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 20).to_parquet(tmp_path / "points.parquet")
     monkeypatch.setattr(file_checks, "MAX_TABLE_BYTES", 1000)
@@ -218,7 +218,7 @@ def test_a_table_too_large_for_memory_is_refused_unread(tmp_path, monkeypatch):
 
 
 def stored(folder, **columns):
-    """Store a dataset whose points have these columns in addition or instead."""
+    """Store a dataset with additional or replaced columns of points."""
     write_tables(folder, {"string": {"length": 0.3}}, grasp=grasp())
     whole = {name: pa.array(values) for name, values in points().items()} | columns
     pq.write_table(pa.table(whole), folder / "points.parquet")
@@ -232,7 +232,7 @@ def stored(folder, **columns):
         ("sigma", [{"a": 1.0}] * len(T)),
     ],
 )
-def test_a_column_of_lists_where_values_are_needed_is_refused(tmp_path, name, values):
+def test_needed_columns_of_lists_are_refused(tmp_path, name, values):
     stored(tmp_path, **{name: pa.array(values)})
     with pytest.raises(
         DataError,
@@ -241,12 +241,12 @@ def test_a_column_of_lists_where_values_are_needed_is_refused(tmp_path, name, va
         dataset.read_dataset(tmp_path)
 
 
-def test_a_column_of_lists_that_nobody_asks_for_is_passed_over(tmp_path):
+def test_unneeded_columns_of_lists_are_ignored(tmp_path):
     stored(tmp_path, remark=pa.array([[{"a": [1, 2]}]] * len(T)))
     assert len(dataset.read_dataset(tmp_path).trials["a"].points) == len(T)
 
 
-def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypatch):
+def test_too_many_or_repeated_columns_are_refused(tmp_path, monkeypatch):
     write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     names = [*points(), "x"]
     pq.write_table(
@@ -264,18 +264,15 @@ def test_columns_that_are_too_many_or_there_twice_are_refused(tmp_path, monkeypa
         dataset.read_dataset(tmp_path)
 
 
-def test_a_first_line_without_an_end_is_refused_unread(tmp_path):
-    """A first line without an end is refused unread.
-
-    Pandas took over a minute to distinguish two million names.
-    """
+def test_too_long_first_lines_are_refused_unread(tmp_path):
+    """Pandas takes over a minute for two million column names."""
     write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     (tmp_path / "points.csv").write_bytes(b"trial,t,s,x,y," + b"a," * 100_000)
     with pytest.raises(DataError, match=r"points\.csv: its first line does not end"):
         dataset.read_dataset(tmp_path)
 
 
-def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
+def test_too_many_trials_are_refused_unread(tmp_path):
     names = [f"t{k}" for k in range(table_files.MAX_TRIALS + 1)]
     many = pd.DataFrame({"trial": names, "t": 0.0, "x": 0.0, "y": 0.0, "theta": 0.0})
     write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=many, points=points())
@@ -288,7 +285,7 @@ def test_more_trials_than_anybody_records_are_refused_unread(tmp_path):
 
 @pytest.mark.parametrize("table", ["grasp", "points"])
 @pytest.mark.parametrize("last", [1e7, 1e18])
-def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, last):
+def test_too_long_time_spans_are_an_error(tmp_path, table, last):
     tables = {"grasp": grasp(), "points": points()}
     tables[table].loc[len(T) - 1, "t"] = last
     write_tables(tmp_path, {"string": {"length": 0.3}}, **tables)
@@ -297,7 +294,7 @@ def test_a_time_that_would_be_simulated_for_months_is_an_error(tmp_path, table, 
     assert f"times span {last:.4g} s" in found.statement
 
 
-def test_times_that_are_no_times_are_left_out(tmp_path):
+def test_impossible_times_are_dropped(tmp_path):
     write_tables(
         tmp_path, {"string": {"length": 0.3}}, grasp=grasp(), points=points(t=T * 1e300)
     )
@@ -307,11 +304,8 @@ def test_times_that_are_no_times_are_left_out(tmp_path):
     assert not read.trials
 
 
-def test_a_sigma_below_an_atom_is_left_out(tmp_path):
-    """A sigma smaller than an atom is omitted.
-
-    Its square underflows to zero, so that it gives no weight.
-    """
+def test_too_small_sigmas_are_dropped(tmp_path):
+    """Their square underflows to zero."""
     write_tables(
         tmp_path,
         {"string": {"length": 0.3}},
@@ -324,7 +318,7 @@ def test_a_sigma_below_an_atom_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("way", ["absolute", "up", "link"])
-def test_frames_outside_the_folder_are_not_read(tmp_path, way):
+def test_frames_outside_the_folder_are_refused(tmp_path, way):
     folder = tmp_path / "data"
     folder.mkdir()
     outside = tmp_path / "secret.png"
@@ -353,7 +347,7 @@ def test_frames_outside_the_folder_are_not_read(tmp_path, way):
     ["lost.png", "a\0b.png", "x" * 5000, None],
     ids=["lost", "zero byte", "too long", "none"],
 )
-def test_frames_that_are_not_there_are_counted(tmp_path, named):
+def test_missing_frames_are_counted(tmp_path, named):
     frames = pd.DataFrame(
         {"trial": "a", "frame": np.arange(5), "t": T[::10], "file": named}
     )
@@ -370,7 +364,7 @@ def test_frames_that_are_not_there_are_counted(tmp_path, named):
 
 
 @pytest.mark.parametrize("name", ["[/]", "[bold]", "<script>", "a b"])
-def test_names_are_text_and_no_markup(tmp_path, name):
+def test_names_are_not_interpreted_as_markup(tmp_path, name):
     folder = tmp_path / "[bold]"
     write_tables(
         folder,
@@ -386,7 +380,7 @@ def test_names_are_text_and_no_markup(tmp_path, name):
     assert name in out.getvalue()
 
 
-def test_names_that_steer_a_terminal_are_refused(tmp_path):
+def test_names_with_control_characters_are_refused(tmp_path):
     write_tables(tmp_path, {}, grasp=grasp("a\x1b[2J"), points=points("a\x1b[2J"))
     with pytest.raises(
         DataError,
@@ -400,7 +394,7 @@ def looked_at(folder):
     return CheckedDataset(read, None, None, 0.3)
 
 
-def test_what_cannot_be_is_warned_of(tmp_path):
+def test_implausible_values_give_warnings(tmp_path):
     far = points()
     far.loc[3, "x"] = 1e308
     about_it = {
@@ -421,7 +415,7 @@ def test_what_cannot_be_is_warned_of(tmp_path):
     assert "'heldout' is no role" in said["trials.a.role"]
 
 
-def test_what_we_write_ourselves_can_be_read(tmp_path):
+def test_own_files_can_be_read(tmp_path):
     known = {
         "format": 1,
         "string": {"length": 0.3},
@@ -432,7 +426,7 @@ def test_what_we_write_ourselves_can_be_read(tmp_path):
 
 
 def huge_png(side):
-    """Return a PNG of `side` x `side` pixels that consists of the header alone."""
+    """Return the header of a PNG of `side` x `side` pixels."""
     head = b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     chunks = ((13, head), (0, b"IDAT"), (0, b"IEND"))
     whole = [
@@ -454,9 +448,7 @@ def test_frames_of_different_sizes_are_refused_by_name(tmp_path):
         images.read(1)
 
 
-def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(
-    tmp_path, monkeypatch
-):
+def test_decompression_bombs_are_refused_by_their_header(tmp_path, monkeypatch):
     monkeypatch.setattr(cv2, "imread", lambda *_: pytest.fail("it was unpacked"))
     # beyond our bound, and beyond the imaging library's own
     for side in (10_000, 60_000):
@@ -468,7 +460,7 @@ def test_an_image_that_would_unpack_to_gigabytes_is_refused_by_its_header(
 
 
 @needs_pipes
-def test_a_pipe_in_place_of_a_picture_is_refused(tmp_path):
+def test_pipe_instead_of_a_picture_is_refused(tmp_path):
     os.mkfifo(tmp_path / "a.png")
     with pytest.raises(DataError, match="no plain file"):
         ImageFiles(tmp_path, ("a.png",)).read(0)
@@ -478,7 +470,7 @@ def test_a_pipe_in_place_of_a_picture_is_refused(tmp_path):
     "content",
     [b"#EXTM3U\n/etc/hostname\n", b"ffconcat version 1.0\nfile /etc/hostname\n", b""],
 )
-def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, content):
+def test_playlist_is_not_accepted_as_video(tmp_path, monkeypatch, content):
     monkeypatch.setattr(cv2, "VideoCapture", lambda *_: pytest.fail("it was opened"))
     (tmp_path / "a.mp4").write_bytes(content)
     with pytest.raises(DataError, match=r"a\.mp4: no MP4"):
@@ -486,7 +478,7 @@ def test_a_list_of_other_files_is_no_video(tmp_path, monkeypatch, content):
 
 
 @needs_pipes
-def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
+def test_index_lists_foreign_content_as_damaged_or_as_text(tmp_path, capsys):
     made = {"[bold]": {}, "other": {"sentence": 1}, "piped": {}}
     for name, ended in made.items():
         (tmp_path / name).mkdir()
@@ -502,11 +494,8 @@ def test_index_lists_what_is_foreign_as_damaged_or_as_text(tmp_path, capsys):
     assert found.to_dict() == {"[bold]": "incomplete", "other": "damaged"}
 
 
-def test_a_long_text_that_every_row_repeats_is_held_once(tmp_path):
-    """A long text that every row repeats is held once.
-
-    It takes 20 kB on the disk, and would take 100 MB if each row had a copy.
-    """
+def test_repeated_long_texts_are_held_once(tmp_path):
+    """20 kB on the disk would become 100 MB with a copy for each row."""
     long_text = "x" * 2**18
     write_tables(tmp_path, {"string": {"length": 0.3}}, grasp=grasp())
     pd.concat([points()] * 8).assign(remark=long_text).to_parquet(

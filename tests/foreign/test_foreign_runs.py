@@ -1,4 +1,4 @@
-"""Runs of others, damaged or malicious, and the answers of the commands."""
+"""Commands on damaged or malicious foreign runs."""
 
 import json
 import shutil
@@ -35,7 +35,7 @@ def finished(tmp_path_factory):
 
 @pytest.fixture
 def run(finished, tmp_path):
-    """Copy the whole run, to be damaged."""
+    """Copy a complete run, to be damaged."""
     return shutil.copytree(finished, tmp_path / "outputs" / "run")
 
 
@@ -63,7 +63,7 @@ FOOTERS = {
 
 
 @pytest.mark.parametrize("footer", FOOTERS)
-def test_a_footer_of_another_shape_is_one_error(run, capsys, footer):
+def test_malformed_footer_gives_one_error(run, capsys, footer):
     path = run / "iterations/01/estimate/fit.parquet"
     for table in path.parent.glob("*.parquet"):
         rewrite_origin(table, FOOTERS[footer])
@@ -76,8 +76,8 @@ def test_a_footer_of_another_shape_is_one_error(run, capsys, footer):
         load_command("lineage")([str(path)])
 
 
-def test_a_footer_that_hardly_ends_is_not_read(run, capsys):
-    """Arrow would take many times its size of the memory."""
+def test_huge_footer_is_not_read(run, capsys):
+    """Arrow would need many times its size."""
     path = run / "iterations/01/estimate/fit.parquet"
     with path.open("r+b") as file:
         file.truncate(2**31)  # sparse: it takes no space
@@ -90,7 +90,7 @@ def test_a_footer_that_hardly_ends_is_not_read(run, capsys):
         load_command("diff")([str(run), str(run)])
 
 
-def test_a_folder_that_a_footer_names_in_many_ways_is_read_once(run, monkeypatch):
+def test_folder_named_repeatedly_by_footers_is_read_once(run, monkeypatch):
     names = ["iterations/" + "./" * times + "01/points" for times in range(50)]
     inputs = {"inputs": dict.fromkeys(names, "0")}
     for table in run.glob("iterations/01/estimate/*.parquet"):
@@ -108,7 +108,7 @@ def test_a_folder_that_a_footer_names_in_many_ways_is_read_once(run, monkeypatch
 
 
 @pytest.mark.parametrize("name", ["iterations/01/x.bin", "iterations/01/x.png"])
-def test_a_file_that_hardly_ends_is_not_compared(run, capsys, name):
+def test_huge_file_is_not_compared(run, capsys, name):
     other = shutil.copytree(run, run.parent / "other")
     for folder in (run, other):
         with (folder / name).open("wb") as file:
@@ -117,13 +117,10 @@ def test_a_file_that_hardly_ends_is_not_compared(run, capsys, name):
     assert "at most 268435456 are read" in capsys.readouterr().out
 
 
-def test_a_folder_elsewhere_that_a_footer_names_is_not_read(
+def test_foreign_folder_named_by_a_footer_is_not_read(
     run, capsys, monkeypatch, tmp_path
 ):
-    """A folder elsewhere that a footer names is not read.
-
-    Reading `/usr` would take hours.
-    """
+    """Reading `/usr` would take hours."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     (elsewhere / "file").write_text("private")
@@ -148,7 +145,7 @@ def test_a_folder_elsewhere_that_a_footer_names_is_not_read(
 @pytest.mark.parametrize(
     "text", ["{", "[1]", '{"mode": 1}', '{"mode": 1, "name": {}}', "\0" * 2**21]
 )
-def test_a_damaged_run_is_a_line_of_the_index(run, tmp_path, text):
+def test_damaged_run_is_listed_by_index(run, tmp_path, text):
     hostile = run.parent / "hostile"
     hostile.mkdir()
     (hostile / "config.json").write_text(f'"mode"{text}' if text == "{" else text)
@@ -173,7 +170,7 @@ SUMMARIES = {
 }
 
 
-def test_a_summary_of_another_shape_is_one_error(run, tmp_path):
+def test_malformed_summary_gives_one_error(run, tmp_path):
     summary = {"hit": True, "sentence": "It hit.", "iterations": [CAST]}
     for name, change in {"good": {}, **SUMMARIES}.items():
         other = shutil.copytree(run, run.parent / name)
@@ -190,7 +187,7 @@ def test_a_summary_of_another_shape_is_one_error(run, tmp_path):
 
 
 @pytest.mark.parametrize("verdict", [5, ["effect"], "\ud800"])
-def test_a_verdict_that_is_no_text_is_a_line_of_the_index(run, tmp_path, verdict):
+def test_malformed_verdict_is_listed_by_index(run, tmp_path, verdict):
     document = {"verdict": verdict, "causes": []}
     (run / "diagnosis.json").write_text(json.dumps(document))
     for ending in ("html", "parquet", "csv"):
@@ -198,7 +195,7 @@ def test_a_verdict_that_is_no_text_is_a_line_of_the_index(run, tmp_path, verdict
         assert load_command("index")([str(run.parent), "--to", to]) == 0
 
 
-def test_a_table_for_spreadsheets_holds_no_formula():
+def test_csv_for_spreadsheets_holds_no_formula():
     assert neutralise_formula("=1+1") == "'=1+1"
     assert neutralise_formula("@SUM(A1)") == "'@SUM(A1)"
     assert neutralise_formula("\n=1+1") == "'\n=1+1"
@@ -208,7 +205,7 @@ def test_a_table_for_spreadsheets_holds_no_formula():
     assert neutralise_formula(-1.5) == -1.5
 
 
-def test_a_page_that_fails_costs_the_page_alone(tmp_path, monkeypatch, capsys):
+def test_failing_page_loses_only_the_page(tmp_path, monkeypatch, capsys):
     def fail(*given):
         raise ValueError("no such colour")
 
@@ -233,7 +230,7 @@ def test_a_page_that_fails_costs_the_page_alone(tmp_path, monkeypatch, capsys):
         {"plugins": ["a\0b"]},
     ],
 )
-def test_settings_of_another_shape_are_one_error(run, change):
+def test_malformed_settings_give_one_error(run, change):
     config = json.loads((run / "config.json").read_text())
     (run / "config.json").write_text(json.dumps(config | change))
     with pytest.raises(ExpectedError):
@@ -242,7 +239,7 @@ def test_settings_of_another_shape_are_one_error(run, change):
 
 
 @pytest.mark.parametrize("name", ["string", "effects"])
-def test_a_run_without_a_setting_of_its_string_is_not_exported(run, tmp_path, name):
+def test_run_without_a_string_setting_is_not_exported(run, tmp_path, name):
     config = json.loads((run / "config.json").read_text())
     del config[name]
     (run / "config.json").write_text(json.dumps(config))
@@ -250,7 +247,7 @@ def test_a_run_without_a_setting_of_its_string_is_not_exported(run, tmp_path, na
         load_command("export")([str(run), str(tmp_path / "string.csv")])
 
 
-def test_a_parameter_that_is_there_twice_is_one_error(run, tmp_path):
+def test_repeated_parameter_gives_one_error(run, tmp_path):
     file = run / "iterations/01/estimate/parameters.parquet"
     table = pq.read_table(file)
     pq.write_table(pa.concat_tables([table, table]), file)
@@ -258,7 +255,7 @@ def test_a_parameter_that_is_there_twice_is_one_error(run, tmp_path):
         load_command("export")([str(run), str(tmp_path / "string.csv")])
 
 
-def test_steps_made_from_each_other_are_one_error(run):
+def test_circular_steps_give_one_error(run):
     inputs = {"inputs": {"iterations/01/estimate": "a"}}
     for table in (run / "iterations/01/points").glob("*.parquet"):
         rewrite_origin(table, lambda origin: json.dumps(origin | inputs))
@@ -266,14 +263,14 @@ def test_steps_made_from_each_other_are_one_error(run):
         load_command("why")([str(run)])
 
 
-def test_a_folder_that_is_no_iteration_is_left_out(run):
+def test_folders_that_are_not_iterations_are_ignored(run):
     (run / "iterations/01").rename(run / "iterations/xx")
     with pytest.raises(UserError, match="no step"):
         load_command("why")([str(run)])
 
 
 @pytest.mark.parametrize("part", ["step", "seed", "config", "packages", "python"])
-def test_a_footer_that_lacks_a_part_is_no_traceback(run, part):
+def test_incomplete_footer_gives_no_traceback(run, part):
     step = run / "iterations/01/estimate"
     for table in step.glob("*.parquet"):
         rewrite_origin(
@@ -287,7 +284,7 @@ def test_a_footer_that_lacks_a_part_is_no_traceback(run, part):
 
 
 @pytest.mark.parametrize("part", ["inputs", "packages", "python", "code"])
-def test_a_run_is_compared_whose_footers_lack_a_part(run, part):
+def test_runs_with_incomplete_footers_are_compared(run, part):
     other = shutil.copytree(run, run.parent / "other")
     for table in other.glob("iterations/01/*/*.parquet"):
         rewrite_origin(
@@ -300,7 +297,7 @@ def test_a_run_is_compared_whose_footers_lack_a_part(run, part):
     assert load_command("diff")([str(run), str(other)]) == 1
 
 
-def test_a_few_bytes_that_stand_for_many_frames_are_refused(run):
+def test_few_bytes_that_encode_many_frames_are_refused(run):
     trial = run / "iterations/01/trial"
     frames = pd.DataFrame({"file": ["a"], "sha256": ["b"]})
     many = pa.Table.from_pandas(frames).take(pa.array(np.zeros(20_000_000, int)))
@@ -310,7 +307,7 @@ def test_a_few_bytes_that_stand_for_many_frames_are_refused(run):
         images_not_kept(trial)
 
 
-def test_a_damaged_summary_is_a_line_of_verify(run, tmp_path):
+def test_damaged_summary_is_reported_by_verify(run, tmp_path):
     (run / "run.json").write_text("{")
     scratch = tmp_path / "scratch"
     scratch.mkdir()
@@ -319,7 +316,7 @@ def test_a_damaged_summary_is_a_line_of_verify(run, tmp_path):
     assert "damaged" in outcome.lines[-1]
 
 
-def test_a_frame_that_hardly_ends_is_not_read(run, capsys):
+def test_huge_frame_is_not_read(run, capsys):
     with (run / "iterations/01/trial/images/1.png").open("wb") as file:
         file.truncate(2**40)  # sparse: it takes no space
     assert load_command("why")([str(run)]) == 1

@@ -1,4 +1,4 @@
-"""Settings of others choose among the project's options, and run nothing."""
+"""Foreign settings choose among known options and execute nothing."""
 
 import json
 import os
@@ -32,7 +32,7 @@ from tests.experiments import resolve_settings
 
 
 class Touch:
-    """The action of a pickle when it is read."""
+    """An object whose unpickling makes a file."""
 
     def __init__(self, path):
         self.path = str(path)
@@ -47,7 +47,7 @@ def canary(tmp_path):
 
 
 def poisons(canary):
-    """Return settings by place; each would make `canary` if it were followed."""
+    """Return malicious settings by place; each would make the file `canary`."""
     pickled = canary.with_suffix(".npy")
     pickled.write_bytes(pickle.dumps(Touch(canary)))
     return {
@@ -85,7 +85,7 @@ def poisoned(settings, place, poison):
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("asked", ["why", "verify", "resume", "index"])
-def test_a_stored_run_runs_no_code(settings, canary, tmp_path, place, asked):
+def test_stored_run_executes_no_code(settings, canary, tmp_path, place, asked):
     run = tmp_path / "outputs" / "run"
     run.mkdir(parents=True)
     (run / "config.json").write_text(
@@ -113,7 +113,7 @@ def test_index_and_why_build_no_model(settings, tmp_path, monkeypatch, capsys):
     assert "iterations/01/motion: missing" in capsys.readouterr().out
 
 
-def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
+def test_extended_model_executes_no_code(settings, canary, tmp_path):
     made = {"string": {"integrator": poisons(canary)["string.integrator"]}}
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump(made))
     config = OmegaConf.create({**settings, "model_from": str(tmp_path)})
@@ -124,7 +124,7 @@ def test_an_extended_model_runs_no_code(settings, canary, tmp_path):
     assert not canary.exists()
 
 
-def test_stored_trials_run_no_code(settings, canary, tmp_path):
+def test_stored_trials_execute_no_code(settings, canary, tmp_path):
     poison = poisons(canary)["estimate"]
     (tmp_path / "config.json").write_text(
         json.dumps(poisoned(settings, "estimate", poison))
@@ -136,7 +136,7 @@ def test_stored_trials_run_no_code(settings, canary, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["mode", "hardware", "arm", "trials", "_target_"])
-def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
+def test_extended_model_sets_only_the_model(tmp_path, name):
     (tmp_path / "extended.yaml").write_text(yaml.safe_dump({"effects": [], name: "x"}))
     with pytest.raises(
         UserError,
@@ -154,7 +154,7 @@ def test_an_extended_model_sets_the_model_and_nothing_else(tmp_path, name):
         ("parameter_values: !!set {wind}", "not valid YAML"),
     ],
 )
-def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
+def test_malformed_extended_model_is_refused(tmp_path, said, message):
     (tmp_path / "extended.yaml").write_text(said)
     with pytest.raises(UserError, match=message):
         read_extended_model(tmp_path)
@@ -173,11 +173,8 @@ def test_an_extended_model_of_another_shape_is_refused(tmp_path, said, message):
         ),
     ],
 )
-def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
-    """Values that would fill the memory or are no number are refused.
-
-    2 TB were requested, and loops of 3000 effects compiled until Python gave up.
-    """
+def test_huge_or_invalid_values_are_refused(words, message):
+    """Examples: 2 TB of memory, and loops of 3000 effects."""
     with pytest.raises(UserError, match=message):
         prepare_experiment(resolve_settings(*words), lambda block: block)
 
@@ -200,20 +197,20 @@ def test_what_would_fill_the_memory_or_is_no_number_is_refused(words, message):
         "model_from",
     ],
 )
-def test_a_setting_of_another_shape_is_refused_by_its_name(settings, name):
+def test_malformed_setting_is_refused_by_name(settings, name):
     for value in (5, [5], [[]]):
         with pytest.raises(UserError, match=name.replace(".", r"\.")):
             prepare_experiment(poisoned(settings, name, value), lambda block: block)
 
 
 @pytest.mark.parametrize("value", [10**400, 1e300])
-def test_a_known_value_is_no_larger_than_any_setting(settings, value):
+def test_parameter_values_have_an_upper_bound(settings, value):
     known = {"bending_stiffness": value}
     with pytest.raises(UserError, match="parameter_values"):
         prepare_experiment(settings | {"parameter_values": known}, lambda block: block)
 
 
-def test_what_is_known_is_finite():
+def test_parameter_values_are_finite():
     settings = resolve_settings("effects=[tip_mass]") | {
         "parameter_values": {"tip_mass.ratio": float("nan")}
     }
@@ -223,11 +220,8 @@ def test_what_is_known_is_finite():
         prepare_experiment(settings, lambda block: block)
 
 
-def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
-    """Lines of the log are not written through a link.
-
-    A run of others could have them added to any file of ours.
-    """
+def test_log_is_not_written_through_a_link(tmp_path):
+    """A foreign run could append them to any file of the user."""
     precious, run = tmp_path / "precious", tmp_path / "run"
     run.mkdir()
     precious.write_text("mine")
@@ -242,18 +236,15 @@ def test_lines_of_the_log_do_not_go_through_a_link(tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="only POSIX has named pipes")
-def test_a_log_that_is_a_pipe_blocks_no_run(tmp_path):
+def test_log_that_is_a_pipe_does_not_block(tmp_path):
     os.mkfifo(tmp_path / "run.log")
     with log.log_to_folder(tmp_path):
         log.LOGGER.info("a line")
 
 
 @pytest.mark.parametrize("name", ["iterations", "iterations/01/trial", "config.json"])
-def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
-    """A run that holds a link is refused.
-
-    Steps could be written through it, and folders be removed.
-    """
+def test_run_folder_with_a_link_is_refused(tmp_path, name):
+    """Steps could be written, and folders removed, through the link."""
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     (elsewhere / "images").mkdir(parents=True)
     (run / name).parent.mkdir(parents=True)
@@ -267,11 +258,8 @@ def test_a_run_that_holds_a_link_is_refused(tmp_path, name):
     assert [path.name for path in elsewhere.iterdir()] == ["images"]
 
 
-def test_no_setting_of_a_run_names_a_file_to_write(tmp_path):
-    """No setting of a run names a file to write.
-
-    The emulator's own record was one, and `resume` wrote over any file of ours.
-    """
+def test_settings_of_a_run_name_no_file_to_write(tmp_path):
+    """Otherwise `resume` could overwrite any file of the user."""
     precious = tmp_path / "precious"
     precious.write_text("mine")
     config = resolve_settings("hardware=emulator")
@@ -284,21 +272,21 @@ def test_no_setting_of_a_run_names_a_file_to_write(tmp_path):
 
 
 @pytest.mark.parametrize("read", [read_extended_model, read_measured_camera])
-def test_what_refers_elsewhere_is_refused(tmp_path, read):
+def test_interpolations_are_refused(tmp_path, read):
     for file in ("extended.yaml", "camera.yaml"):
         (tmp_path / file).write_text("parameter_values: {a: [1, '${oc.env:HOME}']}\n")
     with pytest.raises(UserError, match=r"parameter_values\.a\.1 holds '\$\{'"):
         read(tmp_path)
 
 
-def test_an_empty_model_is_no_model(tmp_path):
-    """The run would go on with the default string."""
+def test_empty_model_is_refused(tmp_path):
+    """Otherwise the run would use the default string."""
     (tmp_path / "extended.yaml").write_text("")
     with pytest.raises(UserError, match=r"extended\.yaml is empty"):
         read_extended_model(tmp_path)
 
 
-def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tmp_path):
+def test_interpolations_in_settings_of_trials_are_refused(settings, tmp_path):
     (tmp_path / "config.json").write_text(
         json.dumps({**settings, "estimate": {"beta": "${oc.env:HOME}"}})
     )
@@ -307,7 +295,7 @@ def test_settings_of_stored_trials_that_refer_elsewhere_are_refused(settings, tm
         inherit_settings(config, set())
 
 
-def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
+def test_allowed_callables_exist_and_cover_our_settings():
     for role, names in allowed_callables.allowed_names_by_role().items():
         for name in names:
             assert callable(load_callable(name, role, ""))
@@ -323,7 +311,7 @@ def test_every_role_names_what_there_is_and_what_our_own_settings_choose():
 @pytest.mark.parametrize(
     "target", ["os.system", "stages.generate", None, ["x"], {"a": 1}]
 )
-def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch):
+def test_forbidden_callable_is_not_imported(target, monkeypatch):
     monkeypatch.setattr(
         "stringcast.pipeline.settings.typed_settings.load_object",
         lambda name: pytest.fail(f"{name} was looked up"),
@@ -333,7 +321,7 @@ def test_a_name_that_is_not_on_the_list_is_not_even_imported(target, monkeypatch
             load_callable(target, f"a.{role}", "file")
 
 
-def test_a_real_arm_does_not_move_by_limits_of_others(settings):
+def test_real_arm_does_not_move_with_foreign_limits(settings):
     real = resolve_settings("hardware=serial")
     faster = {**real, "arm": {**real["arm"], "hand_speed": 99.0}}
     with pytest.raises(
@@ -355,7 +343,7 @@ def test_a_real_arm_does_not_move_by_limits_of_others(settings):
 
 
 @pytest.mark.parametrize("block", ["arm", "hardware", "execute"])
-def test_every_limit_of_others_is_asked_about(block):
+def test_all_foreign_limits_need_consent(block):
     real = resolve_settings("hardware=serial")
     other = {**real, block: {**real[block], "added_by_others": 1.0}}
     with pytest.raises(
@@ -364,12 +352,12 @@ def test_every_limit_of_others_is_asked_about(block):
         refuse_inherited_limits(other, real, "trials=x")
 
 
-def test_a_virtual_arm_asks_nobody(settings):
+def test_virtual_arm_needs_no_consent(settings):
     faster = {**settings, "arm": {**settings["arm"], "hand_speed": 99.0}}
     refuse_inherited_limits(faster, settings, "trials=x")
 
 
-def test_resume_of_a_real_arm_asks_for_a_word(settings, tmp_path):
+def test_resume_with_a_real_arm_needs_consent(settings, tmp_path):
     (tmp_path / "config.json").write_text(
         json.dumps(resolve_settings("hardware=serial"))
     )
@@ -393,13 +381,13 @@ def shared_folder(tmp_path, monkeypatch):
     module_cache.private_temporary_folder.cache_clear()
 
 
-def test_machine_code_is_kept_where_only_we_can_write(shared_folder):
+def test_machine_code_is_stored_in_a_private_folder(shared_folder):
     assert module_cache.private_temporary_folder() == shared_folder
     assert shared_folder.stat().st_mode & 0o777 == 0o700
 
 
 @pytest.mark.parametrize("fault", ["open", "link", "others"])
-def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch, fault):
+def test_foreign_machine_code_is_not_run(shared_folder, tmp_path, monkeypatch, fault):
     if fault == "link":
         (tmp_path / "elsewhere").mkdir(mode=0o700)
         shared_folder.symlink_to(tmp_path / "elsewhere")
@@ -415,8 +403,8 @@ def test_machine_code_of_others_is_not_run(shared_folder, tmp_path, monkeypatch,
     assert module_cache.private_temporary_folder() == used  # one folder for a process
 
 
-def test_numpy_would_have_run_the_pickle(canary):
-    """NumPy would have run the pickle, which proves that the poison works."""
+def test_numpy_would_run_the_pickle(canary):
+    """Show that the malicious pickle works."""
     np.load(poisons(canary)["generate"]["file"], allow_pickle=True)
     assert canary.exists()
 
@@ -430,7 +418,7 @@ def test_numpy_would_have_run_the_pickle(canary):
         ("source@plane=images", "source@plane=video"),
     ],
 )
-def test_a_setting_given_twice_is_refused_with_both_words(given):
+def test_setting_given_twice_is_refused(given):
     with pytest.raises(
         UserError, match=f"{given[0]} and {given[-1]} .*given twice".replace("+", r"\+")
     ):

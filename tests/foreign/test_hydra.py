@@ -1,11 +1,8 @@
-"""Hydra is the version whose refusals were tested.
+"""The pinned version of Hydra and its refusals.
 
-Another version may call anything, or refuse more.
-
-Classes of foreign settings come from fixed lists
-(`pipeline/settings/allowed_callables.py`), so that this list is the second defence and
-not the first. Its gaps are tested too. When it closes a gap, or no longer holds the
-rest, the pin must be reconsidered.
+Foreign settings may only name callables of fixed lists
+(`pipeline/settings/allowed_callables.py`); Hydra's own list is a second defence. Its
+gaps are tested, too. If they change, reconsider the pin.
 """
 
 import tomllib
@@ -27,7 +24,7 @@ def pinned() -> str:
     return next(one for one in asked if one.startswith("hydra-core"))
 
 
-def test_one_version_is_asked_for_locked_and_installed():
+def test_required_locked_and_installed_version_agree():
     assert pinned() == f"hydra-core=={version('hydra-core')}"
     locked = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     assert any(line.split()[:1] == [pinned()] for line in locked)
@@ -36,7 +33,7 @@ def test_one_version_is_asked_for_locked_and_installed():
 @pytest.mark.parametrize(
     "target", ["os.system", "subprocess.run", "builtins.exec", "builtins.eval"]
 )
-def test_hydra_refuses_what_runs_a_command(target):
+def test_hydra_refuses_commands(target):
     with pytest.raises(InstantiationException, match="blocklisted"):
         instantiate({"_target_": target, "_partial_": True})
 
@@ -44,9 +41,6 @@ def test_hydra_refuses_what_runs_a_command(target):
 @pytest.mark.parametrize(
     "target", ["numpy.load", "pathlib.Path.write_text", "builtins.open"]
 )
-def test_hydra_alone_would_not_do(target):
-    """Hydra alone would not suffice.
-
-    It would call these whatever a file says, so fixed lists come first.
-    """
+def test_hydra_alone_would_run_code(target):
+    """Hydra would call these, so fixed lists are needed."""
     instantiate({"_target_": target, "_partial_": True})

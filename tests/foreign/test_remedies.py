@@ -1,4 +1,4 @@
-"""Messages whose remedy can be pasted as it stands."""
+"""Messages with a remedy that can be pasted."""
 
 import json
 import re
@@ -23,7 +23,7 @@ def suggested_words(error):
 @pytest.mark.parametrize(
     ("name", "folder"), [("Foo-Bar", "bad name"), ("fine", "bad name"), ("1", "lab")]
 )
-def test_new_suggests_names_that_it_takes(name, folder, tmp_path, monkeypatch):
+def test_new_accepts_the_names_that_it_suggests(name, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UserError, match="small letters, digits and _") as error:
         load_command("new")(["effect", name, "--to", folder])
@@ -31,14 +31,14 @@ def test_new_suggests_names_that_it_takes(name, folder, tmp_path, monkeypatch):
     assert load_command("new")(words[words.index("new") + 1 :]) == 0
 
 
-def test_why_says_that_a_run_has_made_no_step(tmp_path):
+def test_why_reports_a_run_without_steps(tmp_path):
     settings = compose_settings(["+experiment=diagnose", "trials=data/sample"])
     (tmp_path / "config.json").write_text(json.dumps(settings))
     with pytest.raises(UserError, match=r"has made no step yet. Continue it: .*resume"):
         load_command("why")([str(tmp_path)])
 
 
-def test_index_says_that_a_plugin_is_not_named():
+def test_index_reports_unnamed_plugins():
     rows = {column.name: [""] for column in index.RUNS_TABLE.columns}
     reason = "plugins (config.json): the run uses code of x, which you have not named."
     for stale, shown in ((reason, "plugin not named"), ("01: new", "yes"), ("", "")):
@@ -54,8 +54,8 @@ def estimate(model, observations, *, candidates: int, progress=None):
 """
 
 
-def test_a_function_of_a_plugin_with_other_inputs_is_refused(tmp_path, monkeypatch):
-    """A plugin's function with other inputs is refused before anything runs."""
+def test_plugin_function_with_other_inputs_is_refused(tmp_path, monkeypatch):
+    """It is refused before anything runs."""
     folder = tmp_path / "odd_lab" / "estimate"
     folder.mkdir(parents=True)
     block = {"candidates": 3}
@@ -73,8 +73,8 @@ def test_a_function_of_a_plugin_with_other_inputs_is_refused(tmp_path, monkeypat
     bind_stage({"_target_": right, **block}, "estimate", "file")
 
 
-def test_a_resumed_run_hashes_each_step_once(tmp_path, monkeypatch):
-    """A resumed run hashes each step once, however many later ones use it."""
+def test_resumed_run_hashes_each_step_once(tmp_path, monkeypatch):
+    """Independently of how many later steps use it."""
     experiment = toy_experiment(4, trials_used="all")
     toy_run(tmp_path / "run", experiment)
     hashed = []

@@ -1,7 +1,4 @@
-"""Text of others never controls the terminal.
-
-Escape sequences in names are spelt out.
-"""
+"""Foreign text never controls the terminal: control characters are escaped."""
 
 import ast
 import io
@@ -44,7 +41,7 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("kind", SHOWN)
-def test_control_characters_are_spelt(kind):
+def test_control_characters_are_escaped(kind):
     out = Terminal(file=io.StringIO(), width=200, no_color=True)
     SHOWN[kind](out)
     said = out.file.getvalue()
@@ -53,7 +50,7 @@ def test_control_characters_are_spelt(kind):
     assert r"\x1b]0;mine" in said
 
 
-def test_warnings_of_libraries_are_in_the_log_alone(tmp_path, capfd):
+def test_library_warnings_go_only_to_the_log(tmp_path, capfd):
     warnings.simplefilter("always")
     logging.captureWarnings(False)  # a command of another test leaves it on
     log_warnings()
@@ -66,7 +63,7 @@ def test_warnings_of_libraries_are_in_the_log_alone(tmp_path, capfd):
     assert "divide by zero" not in "".join(capfd.readouterr())
 
 
-def test_a_bar_moves_and_its_name_does_not_steer():
+def test_progress_bar_escapes_its_name():
     out = Terminal(
         file=io.StringIO(), width=200, force_terminal=True, legacy_windows=False
     )
@@ -77,11 +74,8 @@ def test_a_bar_moves_and_its_name_does_not_steer():
     assert r"a\x1b]0;mine" in out.file.getvalue()
 
 
-def test_all_that_is_shown_is_shown_there():
-    """All output goes through one console.
-
-    There is no other console, and what commands print is spelt out, or JSON.
-    """
+def test_all_output_goes_through_the_terminal():
+    """There is no other console; printed text of commands is escaped, or JSON."""
     for file in (ROOT / "pipeline").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             called = ast.unparse(node.func) if isinstance(node, ast.Call) else ""
@@ -100,7 +94,7 @@ def test_all_that_is_shown_is_shown_there():
         (["name=Jörg"], """'name="Jörg"'"""),
     ],
 )
-def test_signs_that_need_quotes_are_suggested_with_them(words, suggestion, monkeypatch):
+def test_special_characters_are_suggested_with_quotes(words, suggestion, monkeypatch):
     monkeypatch.setattr("sys.argv", ["pipeline", *words])
     error = ValueError(f"LexerNoViableAltException: {words[-1]}\n  ^")
     remedy = explain_hydra_error(error).partition("Try: ")[2]

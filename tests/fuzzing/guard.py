@@ -36,7 +36,7 @@ class TooSlowError(BaseException):
 
 
 class Watch:
-    """Note what is written outside a folder, from Python's audit events."""
+    """Record writes outside a folder, from Python's audit events."""
 
     def __init__(self):
         self.inside = None  # the folder that may be written; nothing is watched before
@@ -44,7 +44,7 @@ class Watch:
         sys.addaudithook(self.hear)
 
     def hear(self, event, arguments):
-        """Note an event that writes outside, starts a program or opens a socket."""
+        """Record an event that writes outside, starts a program or opens a socket."""
         if self.inside is None:
             return
         if event == "open":
@@ -62,7 +62,7 @@ class Watch:
             self.faults.append(f"{event} {arguments}")
 
     def note(self, event, path):
-        """Note a path outside the folder."""
+        """Record a path outside the folder."""
         if not isinstance(path, str | bytes | os.PathLike):
             return
         place = Path(os.path.realpath(os.fsdecode(path)))

@@ -56,7 +56,7 @@ SHAPES = ("replace", "remove", "rename", "copy")
 
 @st.composite
 def damaged_bytes(draw, content):
-    """Return bytes of which some were changed, removed, repeated, or replaced."""
+    """Return bytes with changed, removed, repeated or replaced parts."""
     for _ in range(draw(st.integers(1, 4))):
         first = draw(st.integers(0, max(len(content) - 1, 0)))
         last = first + draw(st.sampled_from([0, 1, 2, 8, 64, 4096]))

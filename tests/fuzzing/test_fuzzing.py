@@ -1,7 +1,7 @@
-"""Files of others, mutated from good ones: one error each, or an answer.
+"""Mutated files give one error or an answer.
 
-No command ends in a traceback, hangs, or writes outside the run that it is given. What
-was found once is a test in tests/foreign.
+No command ends in a traceback, hangs, or writes outside its run. Earlier findings are
+tests in tests/foreign.
 """
 
 import io
@@ -73,13 +73,13 @@ def sandbox(tmp_path_factory):
 
 
 def run_commands(commands, inside):
-    """Run commands, by name with their words, under guard."""
+    """Run commands with their words under guard."""
     for name, words in commands.items():
         run_guarded(load_command(name), [str(word) for word in words], inside)
 
 
 def ask_all(folder, inside):
-    """Let every command that looks at a run look at it, and continue it."""
+    """Run all commands on a run, and continue it."""
     fit = next(iter(folder.glob("iterations/01/estimate/fit.parquet")), folder)
     commands = {
         "why": [folder],
@@ -151,7 +151,7 @@ def tables():
 
 
 def look_at(folder, inside):
-    """Let every command that looks at a dataset look at it."""
+    """Run all commands on a dataset."""
     commands = {
         "check": [folder],
         "index": [folder.parent],
@@ -207,7 +207,7 @@ def test_mutated_files_to_import_crash_no_command(sandbox, data):
 
 @pytest.fixture(scope="module")
 def bag():
-    """Return the bytes of a small bag, not compressed, so that damage is read."""
+    """Return the bytes of a small bag, uncompressed so that damage is read."""
     needs = "needs: pip install mcap mcap-ros2-support"
     writer = pytest.importorskip("mcap_ros2.writer", reason=needs)
     compression = pytest.importorskip("mcap.writer", reason=needs).CompressionType

@@ -181,7 +181,7 @@ ELSEWHERE = {  # command: the test that runs it, or why no test can
     "pipeline --help": SHORT,
     "pipeline.settings.reference": "would write over the page: tests/pipeline/test_help.py::test_settings_reference_is_up_to_date",
     "pipeline +experiment=paper hydra.sweep.dir=outputs/sweeps/...": "goes on with a sweep, as does "
-    "tests/sweep/test_sweep_command.py::test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request",
+    "tests/sweep/test_sweep_command.py::test_repeated_command_runs_missing_jobs_and_failed_ones_on_request",
     "tasks.py study draw 7 riddle riddle.json": "tests/benchmarks/test_drawing.py",
     "tasks.py study draw 7 riddle riddle.json --simulator nodal": "as own_kernel",
     "tasks.py study diagnosis": "takes days; as with a seed",

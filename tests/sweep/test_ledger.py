@@ -1,9 +1,4 @@
-"""The ledger and its launchers, with a stand-in for the pipeline.
-
-A stand-in makes jobs quick. Jobs that were killed, claimed twice, failed, or left are
-distinguished, and nothing is lost. Measured: a stand-in takes 0.05 s, and each test a
-second or two.
-"""
+"""The ledger and its launchers, with quick fake jobs."""
 
 import json
 import os
@@ -61,7 +56,7 @@ def stand_in(tmp_path):
 
 
 def ledger_of_seeds(folder, *seeds):
-    """Return a ledger of a job for each seed, and their keys."""
+    """Return a ledger with a job for each seed, and the keys."""
     ledger = Ledger(folder)
     jobs = [
         Job(seed, (f"seed={seed}",), {"seed": seed, "name": "stand_in"})
@@ -91,10 +86,7 @@ LAUNCHERS = {
 
 @pytest.fixture
 def cluster():
-    """Start a Ray cluster of two machines of two cores each, and return its address.
-
-    Both are on this machine.
-    """
+    """Start a local Ray cluster of two nodes with two cores; return its address."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
@@ -107,9 +99,7 @@ def cluster():
 
 
 @pytest.mark.parametrize("name", LAUNCHERS)
-def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
-    name, tmp_path, stand_in, request
-):
+def test_all_launchers_end_all_jobs_despite_failures(name, tmp_path, stand_in, request):
     package, settings = LAUNCHERS[name]
     pytest.importorskip(package)
     if name == "ray":
@@ -144,7 +134,7 @@ def test_whoever_launches_every_job_ends_and_the_failed_take_none_with_them(
     )
 
 
-def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, stand_in):
+def test_missing_jobs_run_again_and_failed_ones_on_request(tmp_path, stand_in):
     ledger, keys = ledger_of_seeds(tmp_path / "sweep", 0, 1, 2)
     for key in keys[1:]:
         Attempt(ledger.folder, key, stand_in)(1)
@@ -161,7 +151,7 @@ def test_only_what_is_missing_runs_again_and_the_failed_on_request(tmp_path, sta
     assert (mended.state, mended.error, mended.attempts) == (DONE_STATE, "", 2)
 
 
-def test_a_job_is_its_settings_however_they_are_spelled():
+def test_job_key_depends_on_settings_not_on_spelling():
     one = Job(0, ("a=1", "b=2"), {"a": 1, "b": 2})
     assert (
         one.key
@@ -183,7 +173,7 @@ def until(true, limit=20.0):
 
 
 def begin(ledger, key, command):
-    """Start an attempt in a process of its own, and wait until its job runs."""
+    """Start an attempt in its own process, and wait until its job runs."""
     process = get_context("fork").Process(
         target=attempt, args=(ledger.folder, key, command)
     )
@@ -193,20 +183,15 @@ def begin(ledger, key, command):
 
 
 def working(script):
-    """Return process ids of the stand-ins."""
+    """Return process ids of the fake jobs."""
     found = subprocess.run(
         ["pgrep", "-f", str(script)], capture_output=True, text=True, check=False
     ).stdout
     return [int(number) for number in found.split()]
 
 
-def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
-    tmp_path, stand_in
-):
-    """A killed worker leaves its job claimed until the job has ended, too.
-
-    Otherwise a second attempt would write into the folder of the first.
-    """
+def test_job_of_a_killed_worker_stays_claimed_until_it_ends(tmp_path, stand_in):
+    """Otherwise a second attempt would write into the folder of the first."""
     ledger, (key,) = ledger_of_seeds(tmp_path / "sweep", 4)
     worker = begin(ledger, key, stand_in)
     os.kill(worker.pid, signal.SIGKILL)
@@ -220,7 +205,7 @@ def test_a_killed_worker_leaves_its_job_claimed_until_the_job_has_ended_too(
     until(lambda: ledger.reset_unfinished([key], ()) == [key])
 
 
-def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
+def test_lost_worker_counts_as_failure(tmp_path, stand_in):
     ledger, (key,) = ledger_of_seeds(tmp_path / "sweep", 0)
     with ledger.claim(key) as log:
         assert log is not None
@@ -234,9 +219,7 @@ def test_a_worker_that_was_lost_is_a_failure(tmp_path, stand_in):
     )
 
 
-def test_a_setting_that_is_called_like_an_outcome_has_a_column_of_its_own(
-    tmp_path, stand_in
-):
+def test_setting_named_like_an_outcome_gets_its_own_column(tmp_path, stand_in):
     ledger = Ledger(tmp_path)
     for many in (1, 2):
         ledger.add(
@@ -268,15 +251,15 @@ def test_two_sweeps_in_one_folder_run_each_job_once(tmp_path, stand_in):
 
 
 def every(folder, keys, command):
-    """Attempt all waiting jobs, as a sweep does."""
+    """Attempt all waiting jobs, like a sweep."""
     for key in Ledger(folder).reset_unfinished(keys, ()):
         attempt(folder, key, command)
 
 
 def whole_sweep(folder, keys, command, said):
-    """Run a whole sweep in this process, and end it as the command would.
+    """Run a sweep in this process, and make its table and page.
 
-    All waiting jobs run, then table and page are made. `said` is a file for its output.
+    said: file for the output.
     """
     every(folder, keys, command)
     sweep = LedgerLauncher("", "", retry=False, warm_up_jobs=0)
@@ -285,13 +268,8 @@ def whole_sweep(folder, keys, command, said):
         os._exit(sweep.finish_sweep())
 
 
-def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_table(
-    tmp_path, stand_in
-):
-    """Two sweeps in one folder both end with a clear sentence and a whole table.
-
-    The first is at a job when the second comes, which ends before it.
-    """
+def test_two_sweeps_in_one_folder_end_with_complete_tables(tmp_path, stand_in):
+    """The second starts during a job of the first, and ends earlier."""
     ledger, keys = ledger_of_seeds(tmp_path / "sweep", 4, 5, 6)
     first, second = (
         get_context("fork").Process(
@@ -325,14 +303,8 @@ def test_two_sweeps_in_one_folder_both_end_with_a_clear_sentence_and_a_whole_tab
     )
 
 
-def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
-    tmp_path, stand_in
-):
-    """A sweep killed at random moments loses nothing, and its ledger stays whole.
-
-    A sweep of 24 jobs is killed with -9 up to 25 times, within 0.02 to 0.06 s, and
-    always continues.
-    """
+def test_randomly_killed_sweep_loses_nothing(tmp_path, stand_in):
+    """A sweep of 24 jobs is killed with SIGKILL up to 25 times, each within 0.06 s."""
     ledger, keys = ledger_of_seeds(tmp_path / "sweep", *range(5, 29))
     kills = 0
     while kills < 25 and set(states(ledger).values()) != {DONE_STATE}:
@@ -355,7 +327,7 @@ def test_killed_at_random_moments_nothing_is_lost_and_the_ledger_is_whole(
     assert all(1 <= begun(ledger, key) <= ledger.read(key).attempts for key in keys)
 
 
-def test_a_damaged_entry_is_named(tmp_path):
+def test_damaged_ledger_entry_is_named(tmp_path):
     ledger, (key,) = ledger_of_seeds(tmp_path, 0)
     file = tmp_path / "ledger" / f"{key}.json"
     file.write_text(json.dumps({"number": 1}))
@@ -377,16 +349,16 @@ def test_a_damaged_entry_is_named(tmp_path):
         ("", ""),
     ],
 )
-def test_the_error_is_what_the_job_said_last(said, error):
+def test_error_is_the_last_message_of_the_job(said, error):
     assert error_message(said) == error
 
 
-def test_an_interrupted_job_has_not_failed():
+def test_interrupted_job_is_not_a_failure():
     assert job_ending(130, "Interrupted.") == (PENDING_STATE, "")
     assert job_ending(-signal.SIGINT, "") == (PENDING_STATE, "")
     assert job_ending(1, "") == (FAILED_STATE, "It ended with exit status 1.")
 
 
-def test_a_folder_that_cannot_be_written_is_one_clear_error():
+def test_unwritable_folder_gives_one_clear_error():
     with pytest.raises(DataError, match=r"/proc/.*hydra.sweep.dir"):
         ledger_of_seeds(Path("/proc/nope"), 0)

@@ -1,9 +1,7 @@
-"""A sweep as a user gives it, with the real pipeline on a small measured trial.
+"""A sweep from the command line, with the real pipeline on a small measured trial.
 
-The numbers do not depend on who runs the jobs, only missing jobs are run again, and
-failures are kept. Jobs leave no page of their own: it would be most of their time.
-Where no other launcher runs them, they are children of this process, which begin at
-once. `tests/pipeline/test_plugins.py` has a job that is a process of its own.
+Jobs write no page, as it would take most of their time. For speed, they are forked
+unless another launcher runs them.
 """
 
 import importlib.util
@@ -38,10 +36,7 @@ def sweep(folder, trials, threads, *overrides, betas="0.9,0.99"):
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory, arm):
-    """Write one trial of others.
-
-    The arm is at rest, and the string swings below it like a stick.
-    """
+    """Write a foreign trial: a rigid string swings below an arm at rest."""
     folder = tmp_path_factory.mktemp("trials")
     t, s = np.arange(0, 0.3, 0.01), np.linspace(0.03, 0.3, 10)
     q = np.tile([1.5, 0.4, 0.8], (len(t), 1))
@@ -64,7 +59,7 @@ def trials(tmp_path_factory, arm):
 
 @pytest.fixture(scope="module")
 def forked_jobs():
-    """Run jobs of sweeps as children of this process, and leave pictures empty."""
+    """Run jobs of sweeps as forked processes with empty pictures."""
     with pytest.MonkeyPatch.context() as patch:
         leave_pictures_empty(patch)
         patch.setattr(Attempt, "_run_process", forked.process)
@@ -75,14 +70,14 @@ def forked_jobs():
 def swept(forked_jobs, trials, tmp_path_factory):
     """Run a sweep of two jobs on one thread, the first of which is refused.
 
-    Returns its folder, and how the command ended.
+    Returns its folder and the result of the command.
     """
     folder = tmp_path_factory.mktemp("sweep")
     return folder, sweep(folder, trials, 1, betas="1.5,0.9")
 
 
 def numbers(folder):
-    """Return the content of all results of each job's steps, by the job's key."""
+    """Return the contents of all steps of each job, by key."""
     return {
         place.parent.name: store.content_hash(place)
         for place in folder.glob("*/iterations")
@@ -99,7 +94,7 @@ def attempts(folder):
     }
 
 
-def test_a_failed_job_is_kept_and_takes_none_with_it(swept):
+def test_failed_job_is_kept_and_stops_no_other(swept):
     folder, said = swept
     assert said.returncode == 1
     assert "1 job(s) of the sweep failed" in said.stderr
@@ -114,7 +109,7 @@ def test_a_failed_job_is_kept_and_takes_none_with_it(swept):
     assert "estimate.beta = 1.5" in page
 
 
-def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
+def test_sweep_table_agrees_with_runs_and_has_units(swept):
     folder, _ = swept
     table = pd.read_parquet(folder / "sweep.parquet").set_index("estimate.beta")
     made = pd.read_parquet(
@@ -127,9 +122,7 @@ def test_the_table_is_that_of_the_runs_and_each_column_has_its_unit(swept):
     assert store.read_origin(folder / "sweep.parquet")["code"]
 
 
-def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
-    swept, trials
-):
+def test_repeated_command_runs_missing_jobs_and_failed_ones_on_request(swept, trials):
     folder, _ = swept
     before = numbers(folder)
     table = folder / "sweep.parquet"
@@ -151,13 +144,8 @@ def test_the_same_command_runs_only_what_is_missing_and_the_failed_on_request(
 
 @pytest.mark.long
 @pytest.mark.parametrize("launcher", PACKAGES)
-def test_the_numbers_are_the_same_to_the_bit_whoever_runs_the_jobs(
-    launcher, swept, trials, tmp_path
-):
-    """The numbers are the same to the bit with any launcher.
-
-    These jobs have two threads each, the compared one had one.
-    """
+def test_results_do_not_depend_on_the_launcher(launcher, swept, trials, tmp_path):
+    """These jobs have two threads each, the reference has one."""
     if importlib.util.find_spec(PACKAGES[launcher]) is None:
         pytest.skip(f"needs {PACKAGES[launcher]}")
     alone, _ = swept

@@ -1,4 +1,4 @@
-"""Messages of a sweep while it runs, and files that its runs leave on the disk."""
+"""Messages of a running sweep, and stored files of runs."""
 
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ from stringcast.pipeline.sweep.launcher import remaining_time
 from tests.experiments import resolve_settings
 
 
-def test_the_time_left_is_at_the_pace_so_far():
+def test_remaining_time_follows_the_pace_so_far():
     assert remaining_time(60.0, waiting=9, of=12) == "(9 left, about 0:03:00)"
     assert remaining_time(60.0, waiting=0, of=12) == ""
 
@@ -28,7 +28,7 @@ def on(lab):
     return SimpleNamespace(config={"hardware": {"_target_": lab}})
 
 
-def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
+def test_run_without_frames_is_a_dataset(tmp_path):
     place = tmp_path / "iterations" / "01" / "trial" / "images"
     place.mkdir(parents=True)
     t = [0.0, 0.1, 0.2]
@@ -63,7 +63,7 @@ def test_a_run_without_its_frames_is_still_a_dataset(tmp_path):
     assert len(again.trials["t01"].points) == 3
 
 
-def test_what_a_run_may_leave_is_named():
+def test_unknown_saved_outputs_are_refused():
     config = resolve_settings()
     assert config["saved_outputs"] == list(SAVEABLE_OUTPUTS)
     for wrong in (["pictures"], "frames"):
