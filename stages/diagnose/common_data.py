@@ -78,7 +78,7 @@ def fit_to_common_data(
         shared = rival.hypothesis.exponents_from(exponents)
         alternatives = alternative_parameter_starts(current.data, current.fit)
         starts = np.stack([shared, *alternatives])
-        moved_to = _refit(current.data, current.fit, starts, min_gain)
+        moved_to = _find_best(current, starts, min_gain)
         alternative = evaluate_with_own_error(searched, rival, moved_to)
         if alternative.fit.log_evidence > current.fit.log_evidence:
             current = alternative
@@ -91,7 +91,7 @@ def fit_to_common_data(
                 chi = current.fit.chi
                 current = evaluate_with_own_error(searched, current.fit, chi)
             start = current.fit.chi[None]
-            moved_to = _refit(current.data, current.fit, start, min_gain)
+            moved_to = _find_best(current, start, min_gain)
             by_trial = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
             expected = by_trial.sum()
             moved = evaluate_with_own_error(searched, current.fit, moved_to)
@@ -136,9 +136,12 @@ def evaluate_with_own_error(
     return EvaluatedFit(data, evaluate_fit(data, fit.hypothesis, chi, fit.width))
 
 
-def _refit(
-    data: TrialData, fit: Fit, starts: np.ndarray, min_gain: float
+def _find_best(
+    current: EvaluatedFit, starts: np.ndarray, min_gain: float
 ) -> np.ndarray:
     """Find the best exponents (P,) of a fit's hypothesis from starts (C, P)."""
-    chi, _ = best_exponents(data, fit.hypothesis, starts, fit.grid_points, min_gain)
+    fit = current.fit
+    chi, _ = best_exponents(
+        current.data, fit.hypothesis, starts, fit.grid_points, min_gain
+    )
     return chi
