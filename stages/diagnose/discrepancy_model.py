@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.discrepancy import Discrepancy
@@ -81,7 +80,7 @@ def with_growth(
     unknown = [trial for trial in trials if not trial.growth.size]
     if not unknown:
         return list(trials)
-    exponents, _ = difference_exponents(chi, solver.FIRST_DIFFERENCE)
+    exponents, _ = solver.difference_exponents(chi, solver.FIRST_DIFFERENCE)
     values = parameter_values(hypothesis.parameters, exponents)
     simulated = measured_points(hypothesis.model, unknown, values)
 

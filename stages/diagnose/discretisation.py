@@ -18,7 +18,6 @@ from dataclasses import replace
 import numpy as np
 
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.linearisation import difference_exponents
 from stringcast.stages.diagnose.measures import refit
 from stringcast.stages.diagnose.prepared_data import (
     PreparedData,
@@ -45,6 +44,7 @@ from stringcast.stages.inference.mesh import (
 )
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
+from stringcast.stages.inference.solver import difference_exponents
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog

@@ -36,10 +36,7 @@ from stringcast.stages.diagnose.candidate_motions import (
     with_represented_points,
 )
 from stringcast.stages.diagnose.discretisation import subtract_discretisation_error
-from stringcast.stages.diagnose.linearisation import (
-    LinearisedFit,
-    difference_exponents,
-)
+from stringcast.stages.diagnose.linearisation import LinearisedFit
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.rules import remainder_hides
 from stringcast.stages.generate.generate import command_table, control_point_table
@@ -123,7 +120,7 @@ class Rivals:
         residuals = []  # (2 n,) of each rival
         slopes = []  # (P, 2 n)
         for fit in fits:
-            chi, offset = difference_exponents(fit.chi, solver.FIRST_DIFFERENCE)
+            chi, offset = solver.difference_exponents(fit.chi, solver.FIRST_DIFFERENCE)
             simulated = trial.residuals(fit.hypothesis.model, chi)[0]
             if (simulated == solver.DIVERGED_RESIDUAL).any():
                 return np.zeros((count, count)), {}

@@ -10,24 +10,8 @@ from stringcast.stages.inference.discrepancy_grid import marginal_log_likelihood
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
-from stringcast.stages.inference.solver import DIVERGED_RESIDUAL, difference_offsets
+from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
-
-
-def difference_exponents(
-    chi: np.ndarray,
-    width: np.ndarray | float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Vary each exponent by a width, away from the nearer end of its range.
-
-    Returns
-    -------
-    exponents : numpy.ndarray, shape (1 + P, P)
-        The given ones first.
-    offset : numpy.ndarray, shape (P,)
-    """
-    offset = difference_offsets(chi, width)
-    return np.concatenate([chi[None], chi + np.diag(offset)]), offset
 
 
 @dataclass(eq=False)

@@ -41,6 +41,7 @@ from stringcast.stages.inference.trial_data import (
 )
 from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
 # Widths of the half-normals, of equal weight
@@ -225,14 +226,10 @@ def evaluate_fit(
     without_one = np.where(is_absent, absent, chi)
     if width is None:  # trial differences give the scale of the slopes
         width = np.full(len(chi), solver.FIRST_DIFFERENCE)
-        slopes, _ = _residual_slopes(
-            data, hypothesis, chi, width, residuals, without_one
-        )
+        slopes, _ = _residual_slopes(data, hypothesis.model, chi, width, without_one)
         white = data.whiten(slopes, grid_points)
         width = solver.difference_widths(white[None], np.ones(1))[0]
-    slopes, others = _residual_slopes(
-        data, hypothesis, chi, width, residuals, without_one
-    )
+    slopes, others = _residual_slopes(data, hypothesis.model, chi, width, without_one)
 
     # Log prior of the amplitudes
     tip_shifts = data.overall_tip_rms(subtract_by_trial(residuals, others))
@@ -352,10 +349,9 @@ def sample_discrepancy_tip_rms(
 
 def _residual_slopes(
     data: TrialData,
-    hypothesis: Hypothesis,
+    model: Model,
     chi: np.ndarray,
     width: np.ndarray,
-    residuals: ByTrial,
     further_chi: np.ndarray,
 ) -> tuple[ByTrial, ByTrial]:
     """Compute slopes of each trial's residuals (2 n,) over widths (P,) of exponents.
@@ -363,12 +359,12 @@ def _residual_slopes(
     Returns slopes (P, 2 n), and residuals (A, 2 n) at further exponents (A, P), which
     cost little in the same batch.
     """
-    count = len(chi)
-    offset = solver.difference_offsets(chi, width)
-    points = np.concatenate([chi + np.diag(offset), further_chi])
-    simulated = data.residuals(hypothesis.model, points)
+    differenced, offset = solver.difference_exponents(chi, width)
+    count = len(differenced)
     slopes = []
-    for rows, residual in zip(simulated, residuals, strict=True):
-        change = solver.residual_changes(rows[:count], residual)
+    others = []
+    for rows in data.residuals(model, np.concatenate([differenced, further_chi])):
+        change = solver.residual_changes(rows[1:count], rows[0])
         slopes.append(change / offset[:, None])
-    return slopes, [rows[count:] for rows in simulated]
+        others.append(rows[count:])
+    return slopes, others

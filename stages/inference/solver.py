@@ -282,6 +282,17 @@ def difference_offsets(chi: np.ndarray, width: np.ndarray | float) -> np.ndarray
     return np.where(chi > 0.5, -width, width)
 
 
+def difference_exponents(
+    chi: np.ndarray, width: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vary each of the exponents (P,) by a width, away from the nearer bound.
+
+    Returns exponents (1 + P, P), the given ones first, and their offsets (P,).
+    """
+    offset = difference_offsets(chi, width)
+    return np.concatenate([chi[None], chi + np.diag(offset)]), offset
+
+
 def residual_changes(moved: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Subtract residuals from others; those of diverged runs do not change."""
     diverged = (moved == DIVERGED_RESIDUAL) | (start == DIVERGED_RESIDUAL)

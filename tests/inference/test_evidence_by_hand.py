@@ -195,15 +195,14 @@ def test_finite_differences_step_into_the_range(start, offset):
     calls = []
 
     def simulate(model, chi):
-        calls.append(float(chi[0, 0]) - start)
+        calls.append(float(chi[1, 0]) - start)
         return [residuals(chi)]
 
     slopes, others = laplace._residual_slopes(
         SimpleNamespace(residuals=simulate),
-        SimpleNamespace(model=None),
+        None,
         np.array([start]),
         np.array([2e-5]),
-        [np.array([2.0])],
         np.array([[start + 0.01]]),
     )
     assert calls == pytest.approx([offset])
