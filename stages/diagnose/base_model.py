@@ -20,7 +20,7 @@ from stringcast.stages.diagnose.rules import (
     Criteria,
 )
 from stringcast.stages.inference import solver
-from stringcast.stages.inference.discrepancy_grid import grid_points_of_scale
+from stringcast.stages.inference.discrepancy_grid import grid_points_of_later_onsets
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import (
     Fit,
@@ -151,9 +151,9 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
     """Refit a hypothesis, first to the beginnings of all trials.
 
     An unknown disturbance in the middle of trials biases fits to whole trials. So the
-    trials are fitted as if a discrepancy began at each onset in turn, from the given
-    fit and from the other string that fits the beginnings best. The best of these fits
-    is refined with the most likely grid points.
+    trials are fitted as if a discrepancy began at each later onset in turn, from the
+    given fit and from the other string that fits the beginnings best. The best of these
+    fits is refined with the most likely grid points.
     """
     hypothesis = fit.hypothesis
     sequence = Halton(len(fit.chi), scramble=False)
@@ -161,7 +161,7 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
     residuals = data.residuals(hypothesis.model, others)
 
     ends = []
-    for grid_point in grid_points_of_scale(UNKNOWN_MOTION_M)[1:]:
+    for grid_point in grid_points_of_later_onsets(UNKNOWN_MOTION_M):
         grid_points = np.full(len(data.trials), grid_point)
         likelihood = hypothesis_likelihood(data, hypothesis, grid_points)
         white = likelihood.data.whiten(residuals, grid_points)

@@ -2,8 +2,8 @@
 
     simulated - measured = U a + s d + e,      d ~ GP,   a ~ N(0, 1),   e: noise
 
-The onset of d and its scale s are unknown; they are on a grid (`discrepancy_grid`). In
-coefficients (`discrepancy_basis`) noise is white, and for each onset d is diagonal.
+The course of d and its scale s are unknown; they are on a grid (`discrepancy_grid`). In
+coefficients (`discrepancy_basis`) noise is white, and for each course d is diagonal.
 
 U has three kinds of columns, in this order: modes of the initial state, the uncertain
 part of the discretisation error, and random effects of causes.
@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis, OnsetBasis
+from stringcast.stages.inference.discrepancy_basis import CourseBasis, DiscrepancyBasis
 from stringcast.stages.inference.discrepancy_grid import (
     split_grid_point,
 )
@@ -103,15 +103,15 @@ class Discrepancy:
         self, coefficients: np.ndarray, grid_point: int
     ) -> np.ndarray:
         """Compute V^(-1/2) of coefficients (C, 2 M)."""
-        onset, scale_index = split_grid_point(grid_point)
-        return self._errors_by_onset[onset].whiten(coefficients, scale_index)
+        course, scale_index = split_grid_point(grid_point)
+        return self._errors_by_course[course].whiten(coefficients, scale_index)
 
     def log_likelihood_by_grid_point(self, coefficients: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of coefficients (C, 2 M), (C, W S)."""
-        by_onset = []
-        for errors in self._errors_by_onset:
-            by_onset.append(errors.log_likelihood_by_scale(coefficients))
-        return np.concatenate(by_onset, axis=1)
+        by_course = []
+        for errors in self._errors_by_course:
+            by_course.append(errors.log_likelihood_by_scale(coefficients))
+        return np.concatenate(by_course, axis=1)
 
     def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
@@ -133,11 +133,11 @@ class Discrepancy:
 
         chosen: a mask of q points at which they are evaluated, (n,).
         """
-        onset, scale_index = split_grid_point(grid_point)
-        variance = self.basis.by_onset[onset].variance_at(scale_index)
+        course, scale_index = split_grid_point(grid_point)
+        variance = self.basis.by_course[course].variance_at(scale_index)
         normal = rng.standard_normal((count, 2, len(variance)))
         scatter = normal * np.sqrt(variance / (1.0 + variance))
-        offset = self._at_points(scatter, onset, chosen)
+        offset = self._at_points(scatter, course, chosen)
         mean = self._mean_at_points(coefficients, grid_point, chosen)
         return np.asarray(mean + offset)
 
@@ -152,38 +152,38 @@ class Discrepancy:
     def _mean_at_points(
         self, coefficients: np.ndarray, grid_point: int, chosen: np.ndarray
     ) -> np.ndarray:
-        onset, scale_index = split_grid_point(grid_point)
-        basis = self.basis.by_onset[onset]
+        course, scale_index = split_grid_point(grid_point)
+        basis = self.basis.by_course[course]
         variance = basis.variance_at(scale_index)
         amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         explained = self.nuisance_coefficients @ amplitudes
         turned = basis.turn((coefficients - explained)[None])
         smooth = turned * variance / (1.0 + variance)
-        return np.asarray(self._at_points(smooth, onset, chosen)[0])
+        return np.asarray(self._at_points(smooth, course, chosen)[0])
 
     def _at_points(
-        self, turned: np.ndarray, onset: int, chosen: np.ndarray
+        self, turned: np.ndarray, course: int, chosen: np.ndarray
     ) -> np.ndarray:
         """Evaluate rotated coefficients (C, 2, M) at some points, (C, 2 q)."""
-        coefficients = self.basis.by_onset[onset].turn_back(turned)
+        coefficients = self.basis.by_course[course].turn_back(turned)
         return self.basis.at_points(coefficients, chosen)
 
     def _nuisance_amplitudes(
         self, coefficients: np.ndarray, grid_point: int
     ) -> np.ndarray:
-        onset, scale_index = split_grid_point(grid_point)
-        return self._errors_by_onset[onset].nuisance_amplitudes(
+        course, scale_index = split_grid_point(grid_point)
+        return self._errors_by_course[course].nuisance_amplitudes(
             coefficients, scale_index
         )
 
     @cached_property
-    def _errors_by_onset(self) -> tuple[_ErrorsOfOnset, ...]:
+    def _errors_by_course(self) -> tuple[_ErrorsOfCourse, ...]:
         columns = self.nuisance_coefficients
-        return tuple(_ErrorsOfOnset(basis, columns) for basis in self.basis.by_onset)
+        return tuple(_ErrorsOfCourse(basis, columns) for basis in self.basis.by_course)
 
 
-class _ErrorsOfOnset:
-    """The errors of a trial whose discrepancy has a known onset.
+class _ErrorsOfCourse:
+    """The errors of a trial whose discrepancy has a known course.
 
     At each scale V = D + U U', with D diagonal in rotated coefficients. The likelihood
     follows from the Woodbury identity and the determinant lemma (Harville 1997, Matrix
@@ -195,7 +195,7 @@ class _ErrorsOfOnset:
         U in rotated coefficients.
     """
 
-    def __init__(self, basis: OnsetBasis, nuisance_coefficients: np.ndarray) -> None:
+    def __init__(self, basis: CourseBasis, nuisance_coefficients: np.ndarray) -> None:
         self.basis = basis
         self.nuisance = basis.turn(nuisance_coefficients.T)
         self._whitenings: dict[int, tuple[np.ndarray, LowRankWhitening]] = {}

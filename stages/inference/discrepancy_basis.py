@@ -1,10 +1,10 @@
 """Coefficients of a trial in which noise is white and the discrepancy is diagonal.
 
-In coefficients of smooth functions noise is white (`noise_basis`). For each onset they
+In coefficients of smooth functions noise is white (`noise_basis`). For each course they
 are rotated so that the covariance of the discrepancy is diagonal. The likelihood at
 another scale then costs almost nothing. The kernel of the discrepancy is a squared
 exponential along the string (0.35 L), zero at the grasp, and a Matern 3/2 in time. Its
-size over the trial is proportional to the sensitivity to the parameters.
+size over the trial is that of its course.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stringcast.stages.inference.basis import (
 )
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
-    sizes_by_onset,
+    sizes_by_course,
 )
 from stringcast.stages.inference.noise import MeasuredTrial
 from stringcast.stages.inference.noise_basis import NoiseBasis, find_noise_basis
@@ -34,8 +34,8 @@ MATERN_TIME_S = 0.08  # 0.05 to 0.12 s fit nine residuals of strings of 0.3 m
 
 
 @dataclass(frozen=True)
-class OnsetBasis:
-    """Coefficients in which noise is white and one onset's discrepancy is diagonal.
+class CourseBasis:
+    """Coefficients in which noise is white and one course's discrepancy is diagonal.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class OnsetBasis:
 
 @dataclass(frozen=True, eq=False)
 class DiscrepancyBasis:
-    """Smooth functions of a trial, and coefficients for each onset of a discrepancy.
+    """Smooth functions of a trial, and coefficients for each course of a discrepancy.
 
     It depends on the times, arc lengths and noise of the points, not on their measured
     positions. So all corrections of a trial and all hypotheses share it.
@@ -84,7 +84,7 @@ class DiscrepancyBasis:
     time_root
         A root of the discrepancy's covariance in time, (F, R).
     sizes
-        Relative size of a discrepancy at each frame for each onset, (W, F).
+        Relative size of a discrepancy at each frame for each course, (W, F).
     """
 
     noise_basis: NoiseBasis
@@ -107,7 +107,7 @@ class DiscrepancyBasis:
         )
         basis = _BASES_IN_USE.get(key)
         if basis is None:
-            sizes = sizes_by_onset(trial.times, growth)
+            sizes = sizes_by_course(trial.times, growth)
             basis = cls(find_noise_basis(trial), matern_root(trial.times), sizes)
             _BASES_IN_USE[key] = basis
         return basis
@@ -126,11 +126,11 @@ class DiscrepancyBasis:
         return self.noise_basis.at_points(by_axis, chosen)
 
     @cached_property
-    def by_onset(self) -> tuple[OnsetBasis, ...]:
-        """The rotated coefficients for each onset, W of them."""
+    def by_course(self) -> tuple[CourseBasis, ...]:
+        """The rotated coefficients for each course, W of them."""
         return tuple(self._turn_for(size) for size in self.sizes)
 
-    def _turn_for(self, size: np.ndarray) -> OnsetBasis:
+    def _turn_for(self, size: np.ndarray) -> CourseBasis:
         """Rotate coefficients for a discrepancy of a size at each frame, (F,)."""
         # Growth is zero in a trial whose simulation diverges
         unit_size = size / max(rms(size), np.finfo(float).tiny)
@@ -138,7 +138,7 @@ class DiscrepancyBasis:
         variance, rotation = eigh(root @ root.T, driver="evd")
         by_block = self.noise_basis.block_variance
         variances = np.outer(by_block, np.maximum(variance, 0.0))
-        return OnsetBasis(rotation, variances.ravel())
+        return CourseBasis(rotation, variances.ravel())
 
 
 _BASES_IN_USE: WeakValueDictionary[str, DiscrepancyBasis] = WeakValueDictionary()

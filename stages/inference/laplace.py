@@ -4,7 +4,7 @@
                 + ln p(theta | h)                 log prior of the causes' amplitudes
                 + P/2 ln 2 pi - 1/2 ln |H|        log volume of the posterior
 
-y_k are the coefficients of trial k; the onset and scale of its discrepancy are
+y_k are the coefficients of trial k; the course and scale of its discrepancy are
 integrated out (`discrepancy`). H is the curvature at the best theta.
 
 The prior of a cause's amplitude is a prior of its tip shift [m]: the root mean square,
@@ -69,10 +69,10 @@ class Fit:
     width
         Widths of chi of their finite differences, (P,).
     grid_points
-        The most probable onset and scale of each trial's discrepancy, (K,): indices of
+        The most probable course and scale of each trial's discrepancy, (K,): indices of
         the grid (`discrepancy_grid`).
     log_likelihood_by_trial
-        Log-likelihood of each trial, integrated over onset and scale, (K,).
+        Log-likelihood of each trial, integrated over course and scale, (K,).
     log_evidence
         Ln p(y | h).
     log_evidence_error
@@ -119,14 +119,14 @@ def fit_hypothesis(
     grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
 ) -> Fit:
-    """Fit the parameters of a hypothesis, and each discrepancy's onset and scale.
+    """Fit the parameters of a hypothesis, and each discrepancy's course and scale.
 
     Parameters
     ----------
     starts
         Exponents, (C, P).
     grid_points
-        Initial onset and scale of each discrepancy, (K,).
+        Initial course and scale of each discrepancy, (K,).
     min_gain
         A step that gains less log-likelihood is slow (`solver`).
     """

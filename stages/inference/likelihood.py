@@ -3,7 +3,7 @@
     residual_k = V_k^(-1/2) (simulated - measured) / sigma
 
 The error model of trial k gives the covariance V_k. It has independent noise, or a
-smooth discrepancy of fixed onset and scale (`discrepancy`), and displacements U_k a,
+smooth discrepancy of fixed course and scale (`discrepancy`), and displacements U_k a,
 such as those by another initial state. The amplitudes a ~ N(0, 1) are integrated out,
 so that residuals in the span of U_k have less weight.
 """
@@ -38,7 +38,7 @@ class Likelihood:
     model
         The model that is fitted to them.
     grid_points
-        The onset and scale of each trial's discrepancy, (K,), as indices of the grid.
+        The course and scale of each trial's discrepancy, (K,), as indices of the grid.
         None if no trial has a discrepancy.
     limit
         Huber's limit in standard deviations, above which a residual has less weight, or

@@ -122,7 +122,7 @@ class TrialData:
     def whiten(self, residuals: ByTrial, grid_points: np.ndarray) -> np.ndarray:
         """Whiten residuals (C, 2 n) of each trial and concatenate them, (C, N).
 
-        grid_points: onset and scale of each trial's discrepancy, (K,).
+        grid_points: course and scale of each trial's discrepancy, (K,).
         """
         return np.concatenate(self.whiten_by_trial(residuals, grid_points), axis=1)
 

@@ -172,7 +172,7 @@ def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
     """No parameter changes it, so that its discrepancy has no size."""
     no_shapes = np.zeros((2 * len(trial.s), 0))
     discrepancy = Discrepancy.for_trial(trial, np.zeros(FRAMES), no_shapes)
-    assert not discrepancy.basis.by_onset[0].variance.any()
+    assert not discrepancy.basis.by_course[0].variance.any()
     diverged = np.full((1, 2 * len(trial.s)), DIVERGED_RESIDUAL)
     coefficients = discrepancy.coefficients(diverged)
     assert np.isfinite(discrepancy.log_likelihood_by_grid_point(coefficients)).all()

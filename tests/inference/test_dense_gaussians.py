@@ -11,11 +11,11 @@ from stringcast.stages.inference import basis, initial_state, noise
 from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.discrepancy_basis import DiscrepancyBasis, matern_root
 from stringcast.stages.inference.discrepancy_grid import (
+    COURSE_COUNT,
     DISCREPANCY_SCALES_M,
-    ONSET_SHARES,
     log_grid_prior,
     most_likely_grid_point,
-    sizes_by_onset,
+    sizes_by_course,
 )
 from stringcast.stages.inference.noise_basis import (
     JointNoiseBasis,
@@ -112,8 +112,8 @@ def test_white_noise_is_white_in_the_coefficients(errors):
 
 def dense_discrepancy(film, errors, grid_point):
     """Compute the covariance of coefficients at a grid point from that of points."""
-    onset, scale_index = divmod(grid_point, SCALES)
-    root = root_at_points(film, sizes_by_onset(film.times, GROWTH)[onset])
+    course, scale_index = divmod(grid_point, SCALES)
+    root = root_at_points(film, sizes_by_course(film.times, GROWTH)[course])
     at_points = np.zeros((2 * len(root), 2 * root.shape[1]))
     at_points[::2, : root.shape[1]] = root  # x
     at_points[1::2, root.shape[1] :] = root  # y
@@ -127,12 +127,12 @@ def test_the_likelihood_of_every_grid_point_is_that_of_the_dense_covariance(
     residuals = 3.0 * np.random.default_rng(2).standard_normal((4, len(shapes)))
     coefficients = errors.coefficients(residuals)
     found = errors.log_likelihood_by_grid_point(coefficients)
-    assert found.shape == (4, len(ONSET_SHARES) * SCALES)
+    assert found.shape == (4, COURSE_COUNT * SCALES)
     columns = errors.coefficients(shapes.T).T
     count = coefficients.shape[1]
-    for onset in range(len(ONSET_SHARES)):
+    for course in range(COURSE_COUNT):
         for scale_index in (0, 4, 9, 14):
-            grid_point = onset * SCALES + scale_index
+            grid_point = course * SCALES + scale_index
             smooth = dense_discrepancy(film, errors, grid_point)
             covariance = np.eye(count) + smooth + columns @ columns.T
             dense = multivariate_normal(cov=covariance).logpdf(coefficients)
@@ -181,32 +181,33 @@ def test_posterior_samples_of_a_discrepancy_have_its_posterior_variance(
     assert np.mean(x * y) == pytest.approx(0.0, abs=0.1 * np.mean(x**2))
 
 
-@pytest.mark.parametrize("onset", [0, 2, 4])
-def test_the_onset_of_a_discrepancy_is_found(film, onset):
-    """Draw twenty discrepancies of 20 mm with the same onset, and add noise."""
+@pytest.mark.parametrize("course", [0, 2, 4, COURSE_COUNT - 1])
+def test_the_course_of_a_discrepancy_is_found(film, course):
+    """Draw twenty discrepancies of 20 mm with the same course, and add noise."""
     film.times = np.linspace(2.0, 3.2, FRAMES)
     errors = Discrepancy.for_trial(film, GROWTH, np.zeros((2 * len(film.s), 0)))
     rng = np.random.default_rng(4)
-    root = root_at_points(film, sizes_by_onset(film.times, GROWTH)[onset])
+    root = root_at_points(film, sizes_by_course(film.times, GROWTH)[course])
     amplitudes = rng.standard_normal((20, root.shape[1], 2))
     residuals = (0.02 * root @ amplitudes).reshape(20, -1)
     residuals += rng.standard_normal(residuals.shape)
     likelihood = errors.log_likelihood_by_grid_point(errors.coefficients(residuals))
     found = most_likely_grid_point(likelihood) // SCALES
-    assert np.median(found) == onset
+    assert np.median(found) == course
 
 
-def test_all_onsets_have_the_same_prior():
-    by_onset = np.exp(log_grid_prior()).reshape(len(ONSET_SHARES), SCALES)
-    assert by_onset.sum(axis=1) == pytest.approx(1 / len(ONSET_SHARES))
+def test_all_courses_have_the_same_prior():
+    by_course = np.exp(log_grid_prior()).reshape(COURSE_COUNT, SCALES)
+    assert by_course.sum(axis=1) == pytest.approx(1 / COURSE_COUNT)
 
 
 def test_a_discrepancy_is_a_hundredth_before_its_onset(film):
-    sizes = sizes_by_onset(film.times, GROWTH)
+    sizes = sizes_by_course(film.times, GROWTH)
     assert sizes[0] == pytest.approx(GROWTH)
     middle = film.times[0] + 0.5 * np.ptp(film.times)
     expected = np.where(film.times < middle, 0.01 * GROWTH, GROWTH)
     assert sizes[3] == pytest.approx(expected)
+    assert sizes[-1] == pytest.approx(1.0)  # it neither begins nor grows
 
 
 def test_time_and_place_separate_if_all_frames_show_the_same_places():

@@ -143,12 +143,12 @@ def test_the_grid_point_is_integrated_out_and_the_most_probable_one_is_chosen():
     )
 
 
-def test_without_a_discrepancy_the_first_onset_is_chosen():
-    """Rounding makes another onset likelier, which has no meaning."""
-    onsets = len(discrepancy_grid.ONSET_SHARES)
-    by_grid_point = np.full((onsets, len(discrepancy_grid.log_grid_prior())), -50.0)
-    no_discrepancy = by_grid_point.reshape(onsets, onsets, -1)[:, :, 0]
-    no_discrepancy[:] = 1e-12 * np.eye(onsets)
+def test_without_a_discrepancy_the_first_course_is_chosen():
+    """Rounding makes another course likelier, which has no meaning."""
+    courses = discrepancy_grid.COURSE_COUNT
+    by_grid_point = np.full((courses, len(discrepancy_grid.log_grid_prior())), -50.0)
+    no_discrepancy = by_grid_point.reshape(courses, courses, -1)[:, :, 0]
+    no_discrepancy[:] = 1e-12 * np.eye(courses)
     assert not discrepancy_grid.most_likely_grid_point(by_grid_point).any()
 
 
