@@ -1,4 +1,4 @@
-/* For tests: the device on standard input and output, its clock 1 ms further after every delimiter, joints still. */
+/* For tests: the device on standard input and output. The clock advances 1 ms per delimiter; joints rest. */
 #include <stdio.h>
 
 #include "stringcast.h"

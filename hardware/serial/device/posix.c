@@ -1,4 +1,4 @@
-/* For tests: the device on a pseudo-terminal, whose name is printed first. Its joints follow the target at once.
+/* For tests: the device on a pseudo-terminal, whose name is printed. Joints follow the target at once.
  * usage: posix WATCHDOG_MS SECONDS */
 #define _XOPEN_SOURCE 600
 #include <fcntl.h>
@@ -33,7 +33,7 @@ static int open_terminal(void)
     terminal = posix_openpt(O_RDWR | O_NOCTTY);
     if (terminal < 0 || grantpt(terminal) || unlockpt(terminal) || (slave = open(ptsname(terminal), O_RDWR)) < 0)
         return -1;
-    tcgetattr(slave, &raw); /* kept open, so that a host may come and go */
+    tcgetattr(slave, &raw); /* kept open, so that hosts may reconnect */
     raw.c_iflag &= ~(tcflag_t)(IGNBRK | BRKINT | PARMRK | ISTRIP | INLCR | IGNCR | ICRNL | IXON);
     raw.c_oflag &= ~(tcflag_t)OPOST;
     raw.c_lflag &= ~(tcflag_t)(ECHO | ECHONL | ICANON | ISIG | IEXTEN);
