@@ -11,6 +11,7 @@ from stringcast.data.diagnoses import Diagnosis
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
+    describe_own_clocks,
     refuse_unlike_clocks,
 )
 from stringcast.pipeline.run.experiment import Experiment
@@ -50,9 +51,9 @@ class Diagnose(Batch):
     ) -> RunResult:
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
-        if experiment.config["trials"] is not None:
-            stored_folder = Path(experiment.config["trials"])
-            refuse_unlike_clocks(experiment, stored_folder, trials.observations)
+        source = experiment.config["trials"]
+        if source is not None:
+            refuse_unlike_clocks(experiment, Path(source), trials.observations)
         stored = len(history.iterations)
         collected = stages()[self.stage].collected_input
         diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})
@@ -69,6 +70,10 @@ class Diagnose(Batch):
         stage = stages()[self.stage]
         summary = stage.summary(diagnosis)
         sentence = diagnosis_outcome(diagnosis, summary)
+        if source is not None and leaves_misfit(diagnosis):
+            observations = trials.observations
+            clocks = describe_own_clocks(experiment, Path(source), observations)
+            sentence = " ".join(filter(None, [sentence, clocks]))
         return RunResult(folder, tuple(history.iterations), sentence, stage)
 
     def perform_proposed_motion(self, history: History, trials: TrialSet) -> TrialSet:
@@ -86,6 +91,12 @@ class Diagnose(Batch):
             observations=(*trials.observations, observation),
             iteration_numbers=(*trials.iteration_numbers, iteration.number),
         )
+
+
+def leaves_misfit(diagnosis: Diagnosis) -> bool:
+    """Return whether a diagnosis that was not interrupted leaves misfit at the tip."""
+    details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    return bool(details["unexplained"]["where"]) and not details["interrupted"]
 
 
 def diagnosis_outcome(diagnosis: Diagnosis, summary: StageSummary) -> str:

@@ -40,11 +40,8 @@ def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
 def refuse_unlike_clocks(
     experiment: Experiment, folder: Path, observations: Sequence[Observation]
 ) -> None:
-    """Raise DataError for a dataset with clearly different clocks.
-
-    Runs, and models with a clock offset, are not tested: their offset is known.
-    """
-    if is_run_folder(folder) or TimeOffset in experiment.model.effects:
+    """Raise DataError for a dataset with clearly different clocks."""
+    if _clocks_are_known(experiment, folder):
         return
     # takes seconds to import
     offset = import_module("stringcast.stages.clock.offset")
@@ -53,6 +50,26 @@ def refuse_unlike_clocks(
         offset.refuse_wrong_clock(experiment.model, observations, rng)
     except DataError as error:
         raise DataError(f"{folder}: {error}") from error
+
+
+def describe_own_clocks(
+    experiment: Experiment, folder: Path, observations: Sequence[Observation]
+) -> str:
+    """Say whether trials of a dataset have clocks of their own; empty if not.
+
+    The fit takes some ten seconds.
+    """
+    if _clocks_are_known(experiment, folder):
+        return ""
+    trial_clocks = import_module("stringcast.stages.clock.trial_clocks")
+    rng = np.random.default_rng(experiment.seed)
+    clock = trial_clocks.find_trial_clocks(experiment.model, observations, rng)
+    return "" if clock is None else str(trial_clocks.describe_trial_clocks(clock))
+
+
+def _clocks_are_known(experiment: Experiment, folder: Path) -> bool:
+    """Return whether trials come from a run, or their clocks are in the model."""
+    return is_run_folder(folder) or TimeOffset in experiment.model.effects
 
 
 def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:

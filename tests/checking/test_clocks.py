@@ -1,5 +1,6 @@
 """The clock offset of arm and camera, estimated from the motion."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -21,7 +22,7 @@ from stringcast.stages.check.clocks import check_clock_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
-from stringcast.stages.clock import offset
+from stringcast.stages.clock import offset, trial_clocks
 from stringcast.stages.clock.fit import model_up_to_strips
 from stringcast.stages.clock.offset import (
     ClockOffset,
@@ -32,6 +33,10 @@ from stringcast.stages.clock.offset import (
     refuse_wrong_clock,
 )
 from stringcast.stages.clock.posterior import clock_posterior
+from stringcast.stages.clock.trial_clocks import (
+    describe_trial_clocks,
+    find_trial_clocks,
+)
 from stringcast.stages.clock.windows import (
     Window,
     common_window,
@@ -186,6 +191,44 @@ def test_trials_with_separate_clocks_get_separate_offsets():
         interval = found.by_trial[name]
         assert interval.low < -by < interval.high
         assert interval.high - interval.low < 4 * FRAME_S
+
+
+@pytest.mark.long
+def test_trials_whose_clocks_differ_by_a_few_frames_say_so():
+    given_s = {"t00": 0.0, "t01": 0.0135, "t02": -0.0105}
+    trials = [
+        late(seen, given_s[seen.name], tip_alone=False).observation
+        for seen in TRIALS
+        if seen.name in given_s
+    ]
+    model = plain_model(CHECKED)
+    found = find_trial_clocks(model, trials, np.random.default_rng(0))
+    for name, by in given_s.items():
+        interval = found.by_trial[name]
+        assert interval.low < -by < interval.high
+    sentence = describe_trial_clocks(found)
+    assert re.search(r" -1\d\.\d ms in t01 .* \+1\d\.\d ms in t02", sentence)
+
+
+@pytest.mark.parametrize(
+    "kind", ["one trial", "one begins to move", "one common clock"]
+)
+def test_clocks_that_cannot_or_do_not_differ_are_not_said_to(monkeypatch, kind):
+    trials = [seen.observation for seen in TRIALS[:2]]
+    if kind == "one trial":
+        trials = trials[:1]
+    if kind == "one begins to move":
+        trials[0] = replace(trials[0], starts_moving=True)
+    fitted = []
+
+    def estimate(model, observations, rng):
+        fitted.append([observation.trial for observation in observations])
+        return SimpleNamespace(is_common=True)
+
+    monkeypatch.setattr(trial_clocks, "estimate_clock_offset", estimate)
+    model = plain_model(CHECKED)
+    assert find_trial_clocks(model, trials, np.random.default_rng(0)) is None
+    assert fitted == ([["t00", "t01"]] if kind == "one common clock" else [])
 
 
 @pytest.mark.long

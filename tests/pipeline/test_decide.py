@@ -30,6 +30,7 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
         "verdict": "ambiguous" if wanted else "effect",
         "interrupted": False,
         "causes": [],
+        "unexplained": {"where": ""},
         "trials": {"rejected": {**rejected, "t99": "no light"}},
     }
     text["next_experiment"] = (
@@ -68,10 +69,10 @@ def clocks_are_together():
         yield
 
 
-def decide(trials, folder, experiment="decide"):
+def decide(trials, folder, experiment="decide", diagnose=proposing):
     here = about(trials, f"+experiment={experiment}")
     SEEN.clear()
-    here = replace(here, stages={**here.stages, "diagnose": proposing})
+    here = replace(here, stages={**here.stages, "diagnose": diagnose})
     result = here.mode.run_steps(
         here,
         folder,
@@ -131,3 +132,19 @@ def test_plain_diagnosis_proposes_a_motion_without_performing_it(
     assert motion.duration == pytest.approx(0.2)
     assert not list((tmp_path / "iterations").rglob("trial"))
     assert result.sentence == "So. Swing."
+
+
+@pytest.mark.parametrize("where", ["", "in trial t00"])
+def test_clocks_of_trials_are_fitted_where_misfit_is_left(
+    sample_trial, tmp_path, monkeypatch, where
+):
+    def leave_misfit(*given, **settings):
+        made = proposing(*given, **settings)
+        document = json.loads(made.finding["diagnosis"].iloc[0])
+        text = json.dumps({**document, "unexplained": {"where": where}})
+        return replace(made, finding=made.finding.assign(diagnosis=text))
+
+    place = "stringcast.pipeline.modes.diagnose.describe_own_clocks"
+    monkeypatch.setattr(place, lambda *given: "Clocks differ.")
+    result = decide(sample_trial, tmp_path, "diagnose", leave_misfit)
+    assert result.sentence == ("So. Swing. Clocks differ." if where else "So. Swing.")

@@ -57,6 +57,7 @@ def diagnosis(**more):
         "trials": {"rejected": {}},
         "causes": [],
         "next_experiment": None,
+        "unexplained": {"where": ""},
         **more,
     }
     row = {

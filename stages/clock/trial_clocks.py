@@ -1,0 +1,60 @@
+"""Trials that each have a clock of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from stringcast.data.artifacts import Observation
+from stringcast.stages.check.measured import CheckedTrial
+from stringcast.stages.clock.offset import ClockOffset, estimate_clock_offset
+from stringcast.stages.clock.windows import onset_window
+from stringcast.stages.diagnose.preparation import usable_trials
+from stringcast.stages.model.model import Model
+
+MIN_TRIALS = 2  # a single clock differs from none
+MS_PER_S = 1e3
+
+
+def find_trial_clocks(
+    model: Model, observations: Sequence[Observation], rng: np.random.Generator
+) -> ClockOffset | None:
+    """Return the offset of each trial's clocks if trials differ in it, or None.
+
+    Effects of the library shift all trials alike. Trials that cannot be used, or do not
+    begin at rest, are left out.
+
+    Parameters
+    ----------
+    model : Model
+        A string without causes.
+    observations : sequence of Observation
+    rng : numpy.random.Generator
+    """
+    usable, _ = usable_trials(model, observations)
+    resting = []
+    for observation in usable:
+        trial = CheckedTrial(observation, model.arm, model.string.length)
+        if onset_window(trial) is not None:
+            resting.append(observation)
+    if len(resting) < MIN_TRIALS:
+        return None
+    clock = estimate_clock_offset(model, resting, rng)
+    return None if clock.is_common else clock
+
+
+def describe_trial_clocks(clock: ClockOffset) -> str:
+    """Say between which offsets the clocks of trials lie, and how to correct them."""
+    ordered = sorted(clock.by_trial.items(), key=lambda item: item[1].value)
+    ends = []
+    for name, interval in (ordered[0], ordered[-1]):
+        value, low, high = (MS_PER_S * number for number in interval)
+        ends.append(
+            f"{value:+.1f} ms in {name} (95 % interval {low:+.1f} to {high:+.1f} ms)"
+        )
+    return (
+        "The clocks of arm and camera seem to differ from trial to trial: what must be "
+        f"added to the camera's times lies between {ends[0]} and {ends[1]}. Import the "
+        "trials with --clock fit, and diagnose them again."
+    )
