@@ -1,4 +1,4 @@
-"""The align stage: pose and clock of the camera relative to the arm."""
+"""Align: measure pose and clock of the camera relative to the arm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stringcast.stages.spec import (
 
 
 def summary(alignment: Alignment) -> StageSummary:
-    """Return pose and clock of the camera relative to the arm's, as a table."""
+    """Tabulate pose and clock of the camera relative to the arm."""
     rows = []
     for parameter in alignment.measured.itertuples():
         remark = ""

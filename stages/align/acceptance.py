@@ -1,4 +1,4 @@
-"""Rules by which an alignment is refused, with the reason."""
+"""Refuse an alignment, with the reason."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from stringcast.stages.align.sightings import points_on_links
 from stringcast.stages.model.effect import amplitude_parameters
 from stringcast.stages.model.library import find_effects
 
-MIN_FRAMES = 30  # in which the arm is seen
-MIN_HAND_SPEED = 0.1  # [m/s]: a slower hand does not show the clocks
-MIN_SIGHTING_SPAN_M = 1e-3  # a smaller spread does not show units
+MIN_FRAMES = 30  # that show the arm
+MIN_HAND_SPEED = 0.1  # [m/s]; a slower hand does not determine the clock offset
+MIN_SIGHTING_SPAN_M = 1e-3  # added to spreads, so that a resting arm has a ratio of 1
 SCALE_RANGE = (0.7, 1.4)  # seen over expected spread
-MAX_MISFIT = 3.0  # of the residuals, in their standard deviations
+MAX_MISFIT = 3.0  # residuals over sigma
 MAX_STRUCTURED_MISFIT = 1.5  # the same if the residuals have a pattern
-MIN_PATTERN_SHARE = 0.5  # of the residuals, explained by a pattern
-MIN_NAMED_SHARE = 0.2  # of the residuals, for a cause to be named
+MIN_PATTERN_SHARE = 0.5  # of the squared residuals, explained by a pattern
+MIN_NAMED_SHARE = 0.2  # of the squared residuals, for a cause to be named
 REQUIRED_PRECISION = {
     "time_offset.offset": (2e-3, "s"),
     "camera_rotation.angle": (0.02, "rad"),
     "pixel_scale.excess": (0.02, "1"),
 }
-RANGE_EDGE = 1e-3  # of a parameter's range: nearer to its end, the parameter is at it
+RANGE_EDGE = 1e-3  # share of a range within which a parameter is at its end
 
 
 def refuse_sight(problem: AlignmentProblem) -> None:
-    """Raise DataError if the arm is hardly seen, hardly moves, or has other units."""
+    """Raise DataError if the arm is hardly seen, hardly moves or has wrong units."""
     frames = sum(np.unique(trial.sightings.frame).size for trial in problem.trials)
     if frames < MIN_FRAMES:
         raise DataError(
@@ -53,9 +53,9 @@ def refuse_sight(problem: AlignmentProblem) -> None:
     ratio = np.exp(np.median(log_ratios))
     if not SCALE_RANGE[0] < ratio < SCALE_RANGE[1]:
         raise DataError(
-            f"what is seen spreads {ratio:.3g} times as far as the joints say. x and y "
-            "must be in metres, joint angles in radians; or correct camera.px_per_m"
-            " and arm.links."
+            f"the seen points spread {ratio:.3g} times as far as the joint angles "
+            "imply. x and y must be in metres, joint angles in radians; or correct "
+            "camera.px_per_m and arm.links."
         )
 
 
@@ -71,8 +71,8 @@ def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
     if is_at_end.any():
         place = int(np.argmax(is_at_end))
         raise DataError(
-            f"{fit.names[place]} would be {fit.x[place]:.3g} or beyond, where the"
-            " search ends. Correct conf/camera or conf/arm first."
+            f"{fit.names[place]} would be {fit.x[place]:.3g}, at the end of its range."
+            " Correct conf/camera or conf/arm first."
         )
     refuse_misfit(problem, fit)
     for name, (limit, unit) in REQUIRED_PRECISION.items():
@@ -86,7 +86,7 @@ def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
 
 
 def refuse_misfit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
-    """Raise DataError for residuals far beyond the noise, or beyond it with a pattern.
+    """Raise DataError for residuals far above the noise, or above it with a pattern.
 
     The message names the likeliest cause.
     """
@@ -108,17 +108,14 @@ def refuse_misfit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
         return
     cause = "No known cause explains it."
     if share > MIN_NAMED_SHARE:
-        cause = (
-            f"It is mostly as if {sentence}: that explains {100 * share:.0f} % of it."
-        )
+        cause = f"It looks as if {sentence}: this explains {100 * share:.0f} % of it."
     raise DataError(
-        f"the misfit is {misfit:.1f} times what noise explains. {cause} No alignment"
-        " is made."
+        f"the misfit is {misfit:.1f} times the noise. {cause} No alignment is made."
     )
 
 
 def _residual_sum(jacobian: np.ndarray, residual: np.ndarray) -> float:
-    """Return the sum of squares that linear least squares leaves."""
+    """Return the residual sum of squares of linear least squares."""
     solution = np.linalg.lstsq(jacobian, residual, rcond=None)[0]
     return float(np.sum((residual - jacobian @ solution) ** 2))
 
@@ -140,7 +137,7 @@ def suspected_causes(
     sentence
         The cause in words.
     columns
-        Changes of the residuals under it (N, K).
+        Changes of the residuals by the cause (N, K).
     """
     yield (
         "the joints turned more or less than they report",
@@ -151,16 +148,16 @@ def suspected_causes(
         residual_changes(problem, fit, "backlash", 0.01),
     )
     yield (
-        "the lens bent it, growing with the distance from the middle of the picture",
+        "the lens distorted the picture, more with the distance from its centre",
         _added_column(problem, fit, "lens_distortion.radial", 0.0),
     )
     yield (
-        "the arm lagged, following its speed",
+        "the arm lagged, in proportion to its speed",
         _added_column(problem, fit, "arm_lag.time_constant", 0.01),
     )
     links = np.concatenate([trial.sightings.link for trial in problem.trials])
     yield (
-        "the outline lay beside the line from joint to joint",
+        "the outline was shifted sideways from the line between the joints",
         (links[:, None] == np.unique(links)).astype(float),
     )
     directions = np.concatenate([t.sightings.direction for t in problem.trials])
@@ -172,14 +169,14 @@ def suspected_causes(
 def _added_column(
     problem: AlignmentProblem, fit: AlignmentFit, name: str, value: float
 ) -> np.ndarray:
-    """Return the Jacobian of one more parameter at a value (N, 1)."""
+    """Return the Jacobian column of a further parameter at a value (N, 1)."""
     return problem.jacobian((*fit.names, name), np.append(fit.x, value))[:, -1:]
 
 
 def residual_changes(
     problem: AlignmentProblem, fit: AlignmentFit, name: str, size: float
 ) -> np.ndarray:
-    """Return changes of the residuals over sigma under a hand's effect.
+    """Return changes of the residuals over sigma by an effect on the hand.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The align stage: pose and clock of the camera relative to the arm."""
+"""Align: measure pose and clock of the camera relative to the arm."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ EffectRanges = dict[str, tuple[float, float, float]]  # value, low, high by name
 
 
 def run(call: StageCall, trials: TrialSet) -> Alignment:
-    """Align camera and arm by all trials together, as a stage."""
+    """Align camera and arm from all trials of a run together."""
     alignment: Alignment = call.by(
         call.setup.model, trials.observations, trials.films, progress=call.progress
     )
@@ -69,13 +69,13 @@ def align(
     model
         The model.
     observations
-        The trials. Of those that were not filmed, points at the grasp are used.
+        The trials. From trials without film, points at the grasp are used.
     films
-        Films by trial. The arm's outline is read in these.
+        Films by trial. The arm's outline is read from them.
     arm_width
         Width of the links [m].
     progress
-        Reports the share that is done.
+        Called with the completed share.
 
     Returns
     -------
@@ -88,9 +88,7 @@ def align(
         If the data do not determine the alignment, with the reason.
     """
     if not observations:
-        raise DataError(
-            "there is no trial that can be used. Look at the reasons given for each."
-        )
+        raise DataError("no trial can be used. See the reason given for each.")
     full_model = measurement_model(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
     trials = []
@@ -113,7 +111,7 @@ def align(
 def build_alignment(
     model: Model, problem: AlignmentProblem, fit: AlignmentFit
 ) -> Alignment:
-    """Return the artifact of a fit."""
+    """Build the artifact of a fit."""
     profile = likelihood_profile(problem, fit)
     lag = largest_hidden_lag(profile, fit)
     measured = measured_table(problem, fit, lag)
@@ -138,7 +136,7 @@ def build_alignment(
 
 
 def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -> str:
-    """Return the model with the alignment as settings that other experiments take."""
+    """Return settings of the model with the alignment, for other experiments."""
     alignment_effects = {*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS}
     effects = {*fit.effects}
     for effect in model.effects:
@@ -159,7 +157,7 @@ def extended_settings(model: Model, measured: pd.DataFrame, fit: AlignmentFit) -
 def sightings_table(
     problem: AlignmentProblem, before: np.ndarray, after: np.ndarray
 ) -> pd.DataFrame:
-    """Return table SIGHTINGS with residuals (N,) [m] before and after the fit."""
+    """Build table SIGHTINGS with residuals (N,) [m] before and after the fit."""
     tables = []
     for trial in problem.trials:
         seen = trial.sightings
@@ -182,10 +180,9 @@ def sightings_table(
 def measured_table(
     problem: AlignmentProblem, fit: AlignmentFit, lag: float
 ) -> pd.DataFrame:
-    """Return the parameters with their 95 % intervals.
+    """Tabulate the parameters with their 95 % intervals.
 
-    Intervals hold whether a candidate effect that was not seen is present or not. An
-    unseen lag is the exception.
+    The intervals allow for candidate effects that were not detected, except a lag.
 
     Parameters
     ----------
@@ -194,7 +191,7 @@ def measured_table(
     fit
         The selected fit.
     lag
-        The largest lag that would not be seen [s].
+        The largest lag that would not be detected [s].
 
     Returns
     -------
@@ -202,11 +199,11 @@ def measured_table(
         Table MEASURED_PARAMETERS.
     """
     fitted = (*fit.effects, "arm_lag")
-    unseen = [name for name in CANDIDATE_EFFECTS if name not in fitted]
-    ranges = _intervals(add_effects(problem, fit, *unseen))
+    undetected = [name for name in CANDIDATE_EFFECTS if name not in fitted]
+    ranges = _intervals(add_effects(problem, fit, *undetected))
     for name, (value, low, high) in _intervals(fit).items():
-        _, low_unseen, high_unseen = ranges[name]
-        ranges[name] = (value, min(low, low_unseen), max(high, high_unseen))
+        _, low_undetected, high_undetected = ranges[name]
+        ranges[name] = (value, min(low, low_undetected), max(high, high_undetected))
     if "arm_lag" not in fit.effects:
         ranges[LAG] = (0.0, 0.0, lag)
     parameters = {p.name: p for p in problem.model.parameters}
@@ -230,14 +227,14 @@ def measured_table(
 
 
 def _intervals(fit: AlignmentFit) -> EffectRanges:
-    """Return value and ends of the 95 % interval by name."""
+    """Return value, low and high end of the 95 % interval by name."""
     low, high = fit.x - fit.half_widths, fit.x + fit.half_widths
     intervals = zip(fit.x, low, high, strict=True)
     return dict(zip(fit.names, intervals, strict=True))
 
 
 def alignment_sentence(measured: pd.DataFrame, fit: AlignmentFit, lag: float) -> str:
-    """Describe what was measured, and what cannot be distinguished from it."""
+    """Describe the measured parameters, and a lag that looks the same."""
     rows = measured.set_index("name")
     sentences, aligned = [], []
     for effect in find_effects(fit.effects):
@@ -250,9 +247,7 @@ def alignment_sentence(measured: pd.DataFrame, fit: AlignmentFit, lag: float) ->
         words = effect.describe(values)
         sentences.append(words[0].upper() + words[1:])
     if aligned:
-        sentences.append(
-            f"Nothing is off, within the intervals, in {', '.join(aligned)}"
-        )
+        sentences.append(f"Within the intervals there is no {' and no '.join(aligned)}")
     half_width = float(rows.loc[OFFSET, "high"] - rows.loc[OFFSET, "low"]) / 2
     precision = f"The clock offset is known to +- {1e3 * half_width:.2f} ms (95 %)"
     if half_width >= TARGET_PRECISION_S:
@@ -260,8 +255,8 @@ def alignment_sentence(measured: pd.DataFrame, fit: AlignmentFit, lag: float) ->
     text = f"{'. '.join(sentences)}. {precision}."
     if lag:
         text += (
-            f" An arm that lags by up to {1e3 * lag:.1f} ms would look the same in this"
-            " motion, with clocks that much further apart: only the sum of both is "
+            f" A lag of the arm of up to {1e3 * lag:.1f} ms would look the same in this"
+            " motion if the clock offset were larger by as much: only their sum is "
             "measured."
         )
     return text

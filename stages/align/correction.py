@@ -1,4 +1,4 @@
-"""Correction of points that an aligned camera reports."""
+"""Correct the points of an aligned camera."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ import numpy as np
 from stringcast.data.artifacts import Points
 from stringcast.stages.model.model import Model
 
-FIXED_POINT_ROUNDS = 12  # each round leaves at most a tenth of the error
+FIXED_POINT_ROUNDS = 12  # each reduces the error to a tenth or less
 
 
 def transform_to_arm_frame(points: Points, model: Model) -> Points:
     """Move points to the arm's frame, as far as the alignment was measured.
 
-    The hit test uses this. Times stay the camera's. A rolling shutter is not corrected,
-    because its effect depends on speeds.
+    Times remain on the camera's clock. A rolling shutter is not corrected, because its
+    effect depends on speeds.
 
     Parameters
     ----------
     points
         Points and tips that the camera reports.
     model
-        The model, with the alignment as its measured values.
+        The model with the measured alignment.
 
     Returns
     -------
     Points
-        The same with x and y in the arm's frame.
+        Points with x and y in the arm's frame.
     """
     if not model.measured_ranges:
         return points
     values = model.values({})[None]
-    # a velocity needs places at three times, which are the same: nothing moves
+    # a velocity needs points at three times; repeated points give a velocity of zero
     moments = 3 if model.camera_uses_velocity else 1
     corrected = []
     for table, columns in (

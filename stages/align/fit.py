@@ -1,8 +1,8 @@
-"""Fit of the alignment: where the arm is seen against where the joints have it.
+"""Fit the alignment: seen positions of the arm against those of the joint angles.
 
-Rotation, origin and scale of the picture, the offset of the clocks and all candidates
-are effects of the forward model. Solver, robust loss and covariance are those of every
-fit (`inference`).
+Rotation, origin and scale of the picture, the clock offset and all candidates are
+effects of the forward model. Solver, robust loss and covariance are those of
+`inference`.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ REQUIRED_EFFECTS = ("time_offset", "camera_rotation", "pixel_scale", "camera_off
 CANDIDATE_EFFECTS = ("arm_lag", "clock_drift", "rolling_shutter", "lens_distortion")
 TIME_BLOCKS = 20  # of the jackknife
 DIFFERENCE_STEP = 1e-4  # of a parameter's range, for the central difference
-# a smaller gain of log-likelihood ends the search: deviances are compared
+# predicted gain of log-likelihood at which the solver stops; small, because deviances
+# are compared
 CONVERGENCE_TOLERANCE = 1e-3
-MAX_SCALE_ROUNDS = 3  # in which the robust scale settles
-MIN_DEVIANCE_GAIN = 9.0  # of an effect to be added: by chance 1 in 400
-START_LAG_S = 0.004  # a lag of zero cannot be distinguished from an offset
+MAX_SCALE_ROUNDS = 3  # fits in which the robust scale converges
+MIN_DEVIANCE_GAIN = 9.0  # for an effect to be added; by chance 1 in 400
+START_LAG_S = 0.004  # at zero, slopes of lag and clock offset are equal
 
 
 def measurement_model(model: Model) -> Model:
-    """Return arm and camera of a model with exactly the effects of an alignment.
+    """Return a model with the same arm and camera and the effects of an alignment only.
 
-    Effects are in the order of their names, as in the settings: a rotation and a shift
-    do not commute.
+    Effects are ordered by name, as in settings: rotation and shift do not commute.
     """
     effects = find_effects(sorted((*REQUIRED_EFFECTS, *CANDIDATE_EFFECTS)))
     return Model(model.string, model.arm, model.camera).with_effects(*effects)
@@ -85,7 +85,7 @@ class AlignmentProblem:
         for trial, duration in zip(self.trials, durations, strict=True):
             seen = trial.sightings
             count = max(round(duration / block_length), 1)
-            # below 1 for the last time, too
+            # the last time stays below 1
             share = (seen.times - seen.times[0]) / (duration * (1 + 1e-9))
             blocks.append(first + (share * count).astype(int)[seen.frame])
             first += count
@@ -105,12 +105,12 @@ class AlignmentProblem:
         return np.array([ranges[name] for name in names]).T
 
     def residuals(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """Return simulated less seen positions of candidates.
+        """Return simulated minus seen positions of candidates.
 
         Parameters
         ----------
         names
-            Qualified names of parameters; the others are absent.
+            Qualified names of parameters; effects of the others are absent.
         x
             Their values (C, P).
 
@@ -168,7 +168,7 @@ class FreeParameters:
 
 @dataclass(frozen=True)
 class AlignmentFit:
-    """Parameters of an alignment that fit the sightings best.
+    """The best fit of an alignment.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class AlignmentFit:
     jacobian
         Derivative of the residuals by the parameters (N, P).
     limit
-        Residuals beyond it count less (Huber).
+        Residual from which Huber's loss is linear.
     deviance
         Twice Huber's cost.
     blocks
@@ -228,7 +228,7 @@ class AlignmentFit:
 
     @cached_property
     def inflation(self) -> float:
-        """Mean variance inflation factor of correlated noise."""
+        """Mean factor by which correlated noise increases variances."""
         plain = np.linalg.pinv((self.weight[:, None] * self.jacobian).T @ self.jacobian)
         return float(np.mean(np.diag(self.covariance) / np.diag(plain)))
 
@@ -249,12 +249,11 @@ def fit_alignment(
     effects
         Names of the effects.
     start
-        Initial values by qualified name; the others begin at 0.
+        Initial values by qualified name; the others start at 0.
     fixed
         Values of parameters that are not fitted.
     limit
-        Huber's limit of another fit, so that deviances can be compared. By default it
-        is estimated.
+        Huber's limit of a fit whose deviance is compared; estimated by default.
 
     Returns
     -------
@@ -293,7 +292,7 @@ def fit_alignment(
 
 def robust_sigma(residual: np.ndarray) -> float:
     """Return the standard deviation of residuals (N,) about zero, from their median."""
-    # never zero, because residuals are divided by it
+    # not zero, because residuals are divided by it
     return mad_sigma(residual) + 1e-12
 
 
@@ -308,7 +307,7 @@ def select_effects(problem: AlignmentProblem) -> AlignmentFit:
     Returns
     -------
     AlignmentFit
-        The fit with all effects that are significant.
+        The fit with all significant effects.
     """
     best = fit_alignment(problem, REQUIRED_EFFECTS)
     while True:
@@ -324,7 +323,7 @@ def select_effects(problem: AlignmentProblem) -> AlignmentFit:
 def add_effects(
     problem: AlignmentProblem, fit: AlignmentFit, *effects: str
 ) -> AlignmentFit:
-    """Fit further effects in addition, with the same limit of Huber's loss."""
+    """Fit further effects in addition, with the same Huber limit."""
     start = dict(fit.values)
     if "arm_lag" in effects:
         start |= {"arm_lag.time_constant": START_LAG_S}

@@ -1,4 +1,4 @@
-"""Sightings of the grasp from measured points at the string's beginning."""
+"""Sightings of the grasp from measured points at the start of the string."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from stringcast.stages.common import interpolate_rows, mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
 
-MAX_GRASP_ARC_LENGTH_M = 1e-3  # a point of smaller arc length is the grasp
-# points so near to where the joints have the grasp were computed, not measured
+MAX_GRASP_ARC_LENGTH_M = 1e-3  # points of smaller arc length are the grasp
+# points nearer to the grasp of the joint angles were computed, not measured
 MAX_COMPUTED_DISTANCE_M = 1e-5
 MIN_SIGMA_M = 1e-4  # smallest estimate of the noise
 
 
 def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
-    """Return the grasp in a trial's points, in x and in y.
+    """Return sightings of the grasp in a trial's points, in x and in y.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
     if grasp.empty:
         raise DataError(
             f"{trial}: no frames, and no point at the grasp (s = 0). Measure the "
-            "string's beginning, or add the frames."
+            "start of the string, or add the frames."
         )
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
     log_t = observation.arm["t"].to_numpy()
@@ -56,14 +56,14 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
     error = arm.joint_positions(reported)[:, -1] - seen
     if np.median(np.linalg.norm(error, axis=-1)) < MAX_COMPUTED_DISTANCE_M:
         raise DataError(
-            f"{trial}: its points begin where the joints say that the grasp is, which "
-            "shows nothing. Add the frames."
+            f"{trial}: the grasp in its points was computed from the joint angles, "
+            "so it says nothing about the alignment. Add the frames."
         )
 
     if "sigma" in grasp:
         sigma = grasp["sigma"].to_numpy()
     else:
-        # second differences remove the smooth part; noise is left, times sqrt(6)
+        # second differences remove the smooth part and multiply noise by sqrt(6)
         noise = MIN_SIGMA_M
         if len(error) > 2:
             noise = max(mad_sigma(np.diff(error, 2, axis=0)) / np.sqrt(6), MIN_SIGMA_M)

@@ -1,4 +1,4 @@
-"""Which clock offset and which arm lag look alike: the profile of the likelihood."""
+"""Likelihood profile of clock offset and arm lag, which look alike."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ CANDIDATE_LAGS_S = (
     np.array([0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0]) * 1e-3
 )
 CHI_SQUARE_95 = 3.84  # rise of the deviance at the end of a 95 % interval
-CLEAR_DEVIANCE = 10 * CHI_SQUARE_95  # no larger lag is tried beyond this rise
+CLEAR_DEVIANCE = 10 * CHI_SQUARE_95  # rise from which no larger lag is tried
 PROFILE_OFFSETS = np.linspace(-4, 4, 17)  # in standard deviations
 
 
 def likelihood_profile(problem: AlignmentProblem, fit: AlignmentFit) -> pd.DataFrame:
-    """Return the deviance over the clock offset, with and without a lag.
+    """Compute the deviance over the clock offset, with and without a lag.
 
-    It is table LIKELIHOOD of the selected fit.
+    Returns table LIKELIHOOD of the selected fit.
     """
     if "arm_lag" in fit.effects:
         rows = _profile_with_lag(problem, fit)
@@ -31,7 +31,7 @@ def likelihood_profile(problem: AlignmentProblem, fit: AlignmentFit) -> pd.DataF
 
 
 def largest_hidden_lag(profile: pd.DataFrame, fit: AlignmentFit) -> float:
-    """Return the largest lag that would not be seen [s]; 0 if a lag was measured."""
+    """Return the largest lag that would not be detected [s]; 0 if one was measured."""
     if "arm_lag" in fit.effects:
         return 0.0
     rising = profile[profile["lag"] > 0]
@@ -43,7 +43,7 @@ def largest_hidden_lag(profile: pd.DataFrame, fit: AlignmentFit) -> float:
 def _profile_without_lag(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> list[tuple[float, ...]]:
-    """Profile a fit without lag: how large a lag may be if the offset grows with it."""
+    """Profile a fit without lag: rise of deviance if lag and offset grow together."""
     place = fit.names.index(OFFSET)
     offset, sigma = fit.x[place], np.sqrt(fit.covariance[place, place])
     rows: list[tuple[float, ...]] = [
@@ -66,7 +66,7 @@ def _profile_without_lag(
 def _profile_with_lag(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> list[tuple[float, ...]]:
-    """Profile a fit with lag: how much worse an offset alone is."""
+    """Profile a fit with lag: the rise of deviance with an offset alone."""
     effects = tuple(effect for effect in fit.effects if effect != "arm_lag")
     alone = fit_alignment(problem, effects, fit.values, limit=fit.limit)
     loss = (alone.deviance - fit.deviance) / fit.inflation

@@ -1,9 +1,9 @@
 """Sightings of the arm's outline in frames, across each link.
 
-The arm is what differs from the scene and is wider than any string. Each pixel belongs
-to the link that the model has nearest. The mean distance of a link's pixels across it
-is the sighting. The search begins with few frames and far pixels, and ends with all
-frames and pixels within the link's own width.
+The arm consists of pixels that differ from the scene, in areas wider than a string.
+Each pixel belongs to the nearest link of the model. A sighting is the mean offset of
+pixels across a piece of a link. The search starts with few frames and distant pixels,
+and ends with all frames and pixels within the link's own width.
 
 References
 ----------
@@ -38,18 +38,18 @@ from stringcast.stages.model.polyline import turn_left
 cv2 = LazyModule("cv2")
 
 PIECES_PER_LINK = 6  # each piece is a sighting
-# share of a link at either end that is not used: there links and gripper overlap
+# share of a link at either end that is not used, because links and gripper overlap
 LINK_END_SHARE = 0.15
-OPENING_SHARE = 0.5  # of the arm's width: narrower things are not arm
+OPENING_SHARE = 0.5  # of the arm's width; narrower objects are not the arm
 MIN_CONTRAST = 25.0  # grey levels between arm and scene
-COARSE_FRAMES = 60  # of a trial, at the beginning of the search
+COARSE_FRAMES = 60  # of a trial, at the start of the search
 MAX_FRAMES = 500  # of a trial
 # arm widths within which pixels count, in each round of the search
 SEARCH_WIDTHS = (6.0, 3.0, 1.5, 1.0)
 FINAL_WIDTHS = 1.0
-# other links must be so many arm widths away from a piece's edges
+# smallest distance of other links from a piece's edges, in arm widths
 MIN_CLEARANCE_WIDTHS = 0.8
-# pixels relative to the usual number: other pieces are hidden, or hide something
+# pixels over the median of the link's pieces; others are partly hidden or overlapped
 PIXEL_RATIO_RANGE = (0.85, 1.15)
 EDGE_SIGMA_PX = 0.1  # standard deviation of a sighting
 
@@ -84,13 +84,13 @@ def sightings_from_films(
     Parameters
     ----------
     model
-        The model with every candidate effect.
+        The model with all candidate effects.
     films
         Films with joint angles, by trial.
     width
         Width of the links [m].
     progress
-        Reports the share that is done.
+        Called with the completed share.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def sightings_from_films(
             trials.append(build_sighted_trial(trial, frames, pieces, width / 4))
         if not any(len(trial.sightings.frame) for trial in trials):
             raise DataError(
-                "the arm's outline is nowhere where the joints say that it is. Correct "
+                "no outline of the arm is near the links of the joint angles. Correct "
                 "camera.px_per_m and camera.origin_px, and align.arm_width."
             )
         problem = AlignmentProblem(model, tuple(trials))
@@ -136,7 +136,7 @@ def sightings_from_films(
 
 
 def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
-    """Extract pixels that differ from the scene and belong to wide things.
+    """Extract pixels of wide objects that differ from the scene.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     film
         A film with joint angles.
     opening
-        Narrower things are not arm [px].
+        Width below which objects are not the arm [px].
 
     Returns
     -------
@@ -177,8 +177,8 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     contrast = float(np.median(upper)) if len(upper) else 0.0
     if contrast < MIN_CONTRAST:
         raise DataError(
-            f"the arm differs from the scene by {contrast:.0f} grey levels only: it "
-            "cannot be seen. Give it more light, or another colour than the background."
+            f"the arm differs from the scene by only {contrast:.0f} grey levels. Give "
+            "it more light, or another colour than the background."
         )
 
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))
@@ -193,8 +193,8 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
 def estimate_scene(frames: np.ndarray) -> np.ndarray:
     """Estimate the scene behind an arm that is brighter or darker.
 
-    The arm is at few places at a time. If it were taken for scene, more of the picture
-    would differ from it.
+    The scene is the one of two estimates from which the frames differ less, because the
+    arm covers only a small part of each frame.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def find_pieces(
     Parameters
     ----------
     model, values
-        Where the arm is expected.
+        Model and parameters that give the expected arm.
     trial
         The arm's pixels.
     frames
@@ -244,7 +244,7 @@ def find_pieces(
     Returns
     -------
     DataFrame
-        Pieces as of `link_pieces`, and `position`, the place of their frame in
+        Table of `link_pieces` with column `position`, the index of the frame in
         `frames`.
     """
     times = trial.times[frames]
@@ -260,7 +260,7 @@ def find_pieces(
 def build_sighted_trial(
     trial: Silhouettes, frames: np.ndarray, pieces: pd.DataFrame, sigma: float
 ) -> SightedTrial:
-    """Return the sightings of pieces in some frames, with sigma [m]."""
+    """Build the sightings of pieces in some frames, with sigma [m]."""
     sightings = Sightings(
         trial.times[frames],
         frame=pieces["position"].to_numpy(),
@@ -285,7 +285,7 @@ def link_pieces(
     pixels
         Pixels of the arm (n, 2).
     joints
-        Expected places of the joints (J + 1, 2) [m].
+        Expected positions of the joints (J + 1, 2) [m].
     width
         Width of the links [m].
     reach
@@ -294,9 +294,9 @@ def link_pieces(
     Returns
     -------
     DataFrame
-        A row for each piece: number of its link from 1, share of its middle along the
-        link, the middle x, y [m], the unit vector normal_x, normal_y across the link,
-        and the number of its pixels.
+        A row for each piece: number of its link from 1, position of its middle as a
+        share of the link, the middle x, y [m], the unit vector normal_x, normal_y
+        across the link, and the number of its pixels.
     """
     points = model.camera.world(pixels)
     number, share, offset = _assign_to_pieces(points, joints, reach * width)
@@ -336,7 +336,7 @@ def _assign_to_pieces(
     Returns
     -------
     number
-        Of the piece, from the base on (m,). Points near joints have none.
+        Number of the piece of each used point, from the base (m,).
     share, offset
         Coordinates along and across the link (m,), as in `link_coordinates`.
     """
@@ -355,9 +355,9 @@ def _assign_to_pieces(
 def _is_clear_of_others(
     edge: np.ndarray, link: np.ndarray, joints: np.ndarray, width: float
 ) -> np.ndarray:
-    """Return at which edges (n, 2) [m] of pieces no other link is near, (n,).
+    """Return whether edges (n, 2) [m] of pieces are clear of other links, (n,).
 
-    One would cut the piece, or add to it. link: of each piece, from 0 (n,).
+    A link nearby would hide or widen the piece. link: link of each piece, from 0 (n,).
     """
     _, _, to_links = link_coordinates(edge, joints)
     to_links[np.arange(len(edge)), link] = np.inf
@@ -372,18 +372,18 @@ def link_coordinates(
     Parameters
     ----------
     points
-        Places (n, 2) [m].
+        Positions (n, 2) [m].
     joints
-        Places of the joints (J + 1, 2) [m].
+        Positions of the joints (J + 1, 2) [m].
 
     Returns
     -------
     share
-        Share along the link (n, J).
+        Position along the link, as a share (n, J).
     offset
-        Distance from the link's line, to its left (n, J) [m].
+        Distance to the left of the link's line (n, J) [m].
     distance
-        Distance from the link itself (n, J) [m].
+        Distance from the link (n, J) [m].
     """
     vector = np.diff(joints, axis=0)
     length = np.linalg.norm(vector, axis=1)
@@ -396,7 +396,7 @@ def link_coordinates(
 
 
 def drop_hidden_pieces(pieces: pd.DataFrame) -> pd.DataFrame:
-    """Drop pieces that are partly hidden, or in which something else is seen."""
+    """Drop pieces that are partly hidden or overlap other objects."""
     usual = pieces.groupby("link")["pixels"].transform("median")
     low, high = PIXEL_RATIO_RANGE
     is_whole = pieces["pixels"].between(low * usual, high * usual, inclusive="neither")

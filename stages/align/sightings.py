@@ -1,4 +1,4 @@
-"""Sightings of the arm: where points on its links were seen and are simulated."""
+"""Sightings of the arm: seen and simulated positions of points on its links."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Sightings:
     frame
         Index of each sighting's frame (N,).
     link
-        Number of its link (N,), from 1.
+        Number of each sighting's link (N,), from 1.
     share
-        Where on the link the point is (N,), from 0 at its joint to 1.
+        Position of the point along the link (N,), from 0 at its joint to 1.
     position
-        Where it was seen (N, 2) [m].
+        Seen position (N, 2) [m].
     direction
-        Unit vector (N, 2) along which it was measured.
+        Unit vector along which the position was measured (N, 2).
     sigma
-        Standard deviation of that measurement (N,) [m].
+        Standard deviation of the measurement (N,) [m].
     """
 
     times: np.ndarray
@@ -43,14 +43,14 @@ class Sightings:
 
 @dataclass(frozen=True)
 class SightedTrial:
-    """The joints in one trial as the arm reports them, and what was seen of it."""
+    """Reported joint motion of one trial, and the sightings of the arm."""
 
     name: str
     motion: JointMotion
     sightings: Sightings
 
     def residuals(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """Return simulated less seen positions along the measured directions.
+        """Return simulated minus seen positions along the measured directions.
 
         Parameters
         ----------
@@ -71,7 +71,7 @@ class SightedTrial:
 
 
 def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
-    """Return the sighted points (C, N, 2) [m] of joints at (C, F, J + 1, 2) [m]."""
+    """Return the sighted points (C, N, 2) [m] for joints (C, F, J + 1, 2) [m]."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]
     return np.asarray(near + sightings.share[:, None] * (far - near))

@@ -1,7 +1,4 @@
-"""Simulated trials of a camera whose true misalignment is known.
-
-The arm swings, and the camera sees its hand as the misalignment makes it.
-"""
+"""Simulated trials in which a misaligned camera sees a swinging arm."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,7 +24,7 @@ from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 
 SWING = {"duration": 4.0, "speed": 2.0, "highest": 2.5, "sines": 3, "motions": 8}
-OFF = {
+MISALIGNMENT = {
     "time_offset.offset": 0.0123,
     "camera_rotation.angle": 0.02,
     "pixel_scale.excess": -0.01,
@@ -36,18 +33,15 @@ OFF = {
 }
 
 
-def aligned_values(alignment):
-    """Return the values that are part of an alignment, by qualified name."""
+def found_values(alignment):
+    """Return the detected parameters of an alignment, by qualified name."""
     rows = alignment.measured[alignment.measured["found"]]
     return dict(zip(rows["name"], rows["value"], strict=True))
 
 
 @dataclass(frozen=True)
-class Stand:
-    """A performed motion of a string in the hand of an arm before a camera.
-
-    `model` holds the string, the arm and the camera.
-    """
+class AlignmentBench:
+    """A motion of an arm in front of a camera."""
 
     model: Model
     motion: Motion
@@ -60,38 +54,38 @@ class Stand:
         fine, turned = servo.follow_commands(
             t, commands[list(SPEEDS)].to_numpy(), np.random.default_rng([self.seed, 1])
         )
-        told = interpolate_rows(t, fine, start + turned)
-        report = dict(zip(JOINTS, servo.encoder_reading(told).T, strict=True))
+        measured = interpolate_rows(t, fine, start + turned)
+        report = dict(zip(JOINTS, servo.encoder_reading(measured).T, strict=True))
         return pd.DataFrame({"t": t} | report), resample_joint_motion(
             fine, start + turned, 0.001
         )
 
     @property
     def arm(self) -> pd.DataFrame:
-        """Return what the arm reports, as table ARM."""
+        """Return the reported joint angles, as table ARM."""
         return self._performed[0]
 
-    def joints(self, true, fps, also=()):
-        """Return frame times (F,) and where the camera sees the joints, (F, J + 1, 2).
+    def joints(self, true, fps, extra_effects=()):
+        """Return frame times (F,) and the seen joint positions (F, J + 1, 2).
 
         `true` holds the true alignment by qualified name.
         """
-        model = measurement_model(self.model).with_effects(*find_effects(also))
+        model = measurement_model(self.model).with_effects(*find_effects(extra_effects))
         times = np.arange(0.0, self.motion.duration, 1 / fps)
         return times, model.observed_arm(
             self._performed[1], model.values(true)[None], times
         )[0]
 
     def observation(
-        self, true, fps=60.0, sigma=1e-3, correlation=0.0, also=(), name="t01"
+        self, true, fps=60.0, sigma=1e-3, correlation=0.0, extra_effects=(), name="t01"
     ):
         """Return the hand as observed points at s = 0.
 
         `correlation` is that of the noise from one frame to the next.
         """
-        t, joints = self.joints(true, fps, also)
-        fresh = np.random.default_rng([self.seed, 2]).normal(size=(len(t) + 200, 2))
-        noise = np.sqrt(1 - correlation**2) * fresh
+        t, joints = self.joints(true, fps, extra_effects)
+        white = np.random.default_rng([self.seed, 2]).normal(size=(len(t) + 200, 2))
+        noise = np.sqrt(1 - correlation**2) * white
         for number in range(1, len(noise)):
             noise[number] += correlation * noise[number - 1]
         x, y = (joints[:, -1] + sigma * noise[200:]).T
@@ -103,13 +97,15 @@ class Stand:
         )
 
 
-def stand(model: Model, seed: int = 0, **swing) -> Stand:
-    """Draw a stand's motion from a seed."""
-    return Stand(model, excite(model, (), seed=seed, **{**SWING, **swing}), seed)
+def build_bench(model: Model, seed: int = 0, **swing) -> AlignmentBench:
+    """Build a bench with a motion drawn from a seed."""
+    return AlignmentBench(
+        model, excite(model, (), seed=seed, **{**SWING, **swing}), seed
+    )
 
 
-def still(observation: Observation) -> Observation:
-    """Return the same stand with an arm that does not move."""
+def without_motion(observation: Observation) -> Observation:
+    """Return the observation of an arm that does not move."""
     first = observation.points.iloc[0]
     arm = observation.arm.assign(**observation.arm[list(JOINTS)].iloc[0])
     return replace(

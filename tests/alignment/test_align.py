@@ -1,8 +1,4 @@
-"""Alignment of camera and clock with the arm.
-
-A hidden misalignment is found within its stated uncertainty. What the data cannot
-determine is refused.
-"""
+"""Alignment recovers a hidden misalignment within its intervals, or is refused."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -54,9 +50,16 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.report.pages.alignment import alignment_page
 from stringcast.stages.report.records import StageRecord
-from tests.alignment.stand import OFF, SWING, aligned_values, stand, still
+from tests.alignment.stand import (
+    MISALIGNMENT,
+    SWING,
+    build_bench,
+    found_values,
+    without_motion,
+)
 
-MISSED = 1.5  # half widths of a 95 % interval; one in 300 errors is larger by chance
+# tolerated error in half widths of a 95 % interval; by chance 1 in 300 is larger
+MAX_HALF_WIDTHS = 1.5
 
 
 @pytest.fixture(scope="module")
@@ -66,123 +69,129 @@ def model(arm, camera):
 
 @pytest.fixture(scope="module")
 def bench(model):
-    """Return a stand of another seed.
+    """Return a bench of seed 1.
 
-    Measured with the noise of fourteen seeds: thirteen intervals hold. That of seed 0
-    misses by 1.9 half-widths.
+    Of fourteen seeds, thirteen intervals hold; seed 0 misses by 1.9 half widths.
     """
-    return replace(stand(model), seed=1)
+    return replace(build_bench(model), seed=1)
 
 
-def aligned(bench, *observations):
+def align_bench(bench, *observations):
     return align(bench.model, observations, {}, arm_width=0.035)
 
 
-def interval(made, name):
-    row = made.measured.set_index("name").loc[name]
+def interval(alignment, name):
+    row = alignment.measured.set_index("name").loc[name]
     return row["value"], (row["high"] - row["low"]) / 2
 
 
-# --- hidden misalignment is found
+# --- hidden misalignment
 
 
 @pytest.mark.parametrize(
     ("fps", "offset", "correlation"),
     [(200, -0.02, 0.0), (60, 0.0123, 0.8), (30, 0.02, 0.0)],
 )
-def test_known_values_are_recovered_within_what_is_stated(
+def test_misalignment_is_recovered_within_its_intervals(
     bench, fps, offset, correlation
 ):
-    true = OFF | {"time_offset.offset": offset}
-    made = aligned(bench, bench.observation(true, fps, correlation=correlation))
-    assert abs(aligned_values(made)["time_offset.offset"] - offset) < 1e-3
+    true = MISALIGNMENT | {"time_offset.offset": offset}
+    alignment = align_bench(
+        bench, bench.observation(true, fps, correlation=correlation)
+    )
+    assert abs(found_values(alignment)["time_offset.offset"] - offset) < 1e-3
     for name, value in true.items():
-        found, reach = interval(made, name)
-        assert abs(found - value) < MISSED * reach, name
-    assert interval(made, "time_offset.offset")[1] < 2e-3
+        found, half_width = interval(alignment, name)
+        assert abs(found - value) < MAX_HALF_WIDTHS * half_width, name
+    assert interval(alignment, "time_offset.offset")[1] < 2e-3
 
 
-def test_what_is_aligned_is_found_aligned(bench):
-    made = aligned(bench, bench.observation({}))
-    assert not {name.split(".")[0] for name in aligned_values(made)} - {
+def test_aligned_camera_has_zero_misalignment(bench):
+    alignment = align_bench(bench, bench.observation({}))
+    assert not {name.split(".")[0] for name in found_values(alignment)} - {
         "time_offset",
         "camera_rotation",
         "pixel_scale",
         "camera_offset",
     }
-    for name in aligned_values(made):
-        found, reach = interval(made, name)
-        assert abs(found) < MISSED * reach, name
+    for name in found_values(alignment):
+        found, half_width = interval(alignment, name)
+        assert abs(found) < MAX_HALF_WIDTHS * half_width, name
 
 
-def test_turning_the_scene_turns_the_result_and_another_clock_sets_it_off(bench):
-    seen = bench.observation(OFF | {"pixel_scale.excess": 0.0})
-    turn, later = 0.05, 0.004
+def test_rotation_and_delay_of_the_data_shift_the_result(bench):
+    seen = bench.observation(MISALIGNMENT | {"pixel_scale.excess": 0.0})
+    turn, delay = 0.05, 0.004
     centre, c, s = bench.model.camera.centre, np.cos(turn), np.sin(turn)
     x, y = seen.points["x"] - centre[0], seen.points["y"] - centre[1]
     turned = seen.points.assign(
         x=centre[0] + c * x - s * y,
         y=centre[1] + s * x + c * y,
-        t=seen.points["t"] + later,
+        t=seen.points["t"] + delay,
     )
     before, after = (
-        aligned_values(aligned(bench, o)) for o in (seen, replace(seen, points=turned))
+        found_values(align_bench(bench, o))
+        for o in (seen, replace(seen, points=turned))
     )
     assert after["camera_rotation.angle"] - before[
         "camera_rotation.angle"
     ] == pytest.approx(turn, abs=1e-4)
     assert after["time_offset.offset"] - before["time_offset.offset"] == pytest.approx(
-        -later, abs=2e-5
+        -delay, abs=2e-5
     )
     assert after["pixel_scale.excess"] == pytest.approx(
         before["pixel_scale.excess"], abs=1e-4
     )
 
 
-def test_a_lens_that_bends_is_measured_too(bench):
-    true = OFF | {"lens_distortion.radial": 0.05}
-    made = aligned(bench, bench.observation(true, fps=60, sigma=3e-4))
+def test_lens_distortion_is_measured(bench):
+    true = MISALIGNMENT | {"lens_distortion.radial": 0.05}
+    alignment = align_bench(bench, bench.observation(true, fps=60, sigma=3e-4))
     for name, value in true.items():
-        found, reach = interval(made, name)
-        assert abs(found - value) < MISSED * reach, name
+        found, half_width = interval(alignment, name)
+        assert abs(found - value) < MAX_HALF_WIDTHS * half_width, name
 
 
-def test_noise_that_nobody_states_is_found(bench):
-    seen = bench.observation(OFF, sigma=2e-3)
-    made = aligned(bench, replace(seen, points=seen.points.drop(columns="sigma")))
-    assert made.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
-    assert aligned_values(made)["time_offset.offset"] == pytest.approx(
-        OFF["time_offset.offset"], abs=1e-3
+def test_unstated_noise_is_estimated(bench):
+    seen = bench.observation(MISALIGNMENT, sigma=2e-3)
+    alignment = align_bench(
+        bench, replace(seen, points=seen.points.drop(columns="sigma"))
+    )
+    assert alignment.seen["sigma"].iloc[0] == pytest.approx(2e-3, rel=0.2)
+    assert found_values(alignment)["time_offset.offset"] == pytest.approx(
+        MISALIGNMENT["time_offset.offset"], abs=1e-3
     )
 
 
 # --- look-alikes
 
 
-def test_a_lag_that_shows_is_told_from_the_offset(bench):
-    true = OFF | {"arm_lag.time_constant": 0.012}
-    made = aligned(bench, bench.observation(true, fps=100, sigma=3e-4))
-    assert "arm_lag.time_constant" in aligned_values(made)
+def test_large_lag_is_distinguished_from_the_offset(bench):
+    true = MISALIGNMENT | {"arm_lag.time_constant": 0.012}
+    alignment = align_bench(bench, bench.observation(true, fps=100, sigma=3e-4))
+    assert "arm_lag.time_constant" in found_values(alignment)
     for name in ("time_offset.offset", "arm_lag.time_constant"):
-        found, reach = interval(made, name)
-        assert abs(found - true[name]) < MISSED * reach
-        assert reach < 1.5e-3
+        found, half_width = interval(alignment, name)
+        assert abs(found - true[name]) < MAX_HALF_WIDTHS * half_width
+        assert half_width < 1.5e-3
 
 
-def test_a_lag_that_does_not_show_is_left_open_and_said(bench):
-    """Offset and lag are measured together, and neither is mistaken for the other."""
-    made = aligned(bench, bench.observation(OFF | {"arm_lag.time_constant": 0.002}))
-    assert "arm_lag.time_constant" not in aligned_values(made)
-    assert aligned_values(made)["time_offset.offset"] == pytest.approx(
-        OFF["time_offset.offset"] - 0.002, abs=1e-3
+def test_small_lag_is_reported_as_a_lookalike(bench):
+    """Only the sum of offset and lag is measured."""
+    alignment = align_bench(
+        bench, bench.observation(MISALIGNMENT | {"arm_lag.time_constant": 0.002})
     )
-    assert made.aligned["most_lag"].iloc[0] > 0.002
-    assert "would look the same" in made.sentence
-    alike = made.likelihood.set_index("offset")["with_lag"]
-    assert np.interp(OFF["time_offset.offset"], alike.index, alike) < 3.84
+    assert "arm_lag.time_constant" not in found_values(alignment)
+    assert found_values(alignment)["time_offset.offset"] == pytest.approx(
+        MISALIGNMENT["time_offset.offset"] - 0.002, abs=1e-3
+    )
+    assert alignment.aligned["most_lag"].iloc[0] > 0.002
+    assert "would look the same" in alignment.sentence
+    alike = alignment.likelihood.set_index("offset")["with_lag"]
+    assert np.interp(MISALIGNMENT["time_offset.offset"], alike.index, alike) < 3.84
 
 
-def test_a_lag_that_would_show_at_once_is_told_smaller_than_the_first_that_is_tried():
+def test_largest_hidden_lag_may_be_below_the_first_candidate():
     table = pd.DataFrame(
         {"lag": [0.0, 0.25e-3, 0.5e-3], "with_lag": [0.0, 38.4, 150.0]}
     )
@@ -204,66 +213,68 @@ def in_degrees(o):
     return replace(o, arm=o.arm.assign(**{q: np.degrees(o.arm[q]) for q in JOINTS}))
 
 
-def knocked(o):
+def shift_camera_midway(o):
     return replace(
         o, points=o.points.assign(x=o.points["x"] + 0.02 * (o.points["t"] > 2.5))
     )
 
 
-def told(o):
+def without_grasp_points(o):
     return replace(o, points=o.points.assign(s=o.points["s"] + 0.05))
 
 
 WRONG = {
-    "too slow": (still, "the hand moves at 0.000 m/s at most: too slow"),
+    "too slow": (without_motion, "the hand moves at 0.000 m/s at most: too slow"),
     "hardly seen": (
         lambda o: replace(o, points=o.points[:20]),
         "seen in 20 frames only",
     ),
     "millimetres": (
         in_millimetres,
-        r"spreads \d{3,4} times as far as the joints say.*must be in metres",
+        r"spread \d{3,4} times as far as the joint angles imply.*must be in metres",
     ),
     "degrees": (in_degrees, "joint angles in radians"),
     "knocked": (
-        knocked,
-        r"times what noise explains.*camera or arm was knocked at 2\.[2-7]",
+        shift_camera_midway,
+        r"times the noise.*camera or arm was knocked at 2\.[2-7]",
     ),
-    "no grasp": (told, r"no point at the grasp \(s = 0\)"),
+    "no grasp": (without_grasp_points, r"no point at the grasp \(s = 0\)"),
     "no joints": (lambda o: replace(o, arm=None), "needs joint angles"),
     "far off": (
         lambda o: replace(o, points=o.points.assign(x=o.points["x"] + 0.3)),
-        r"would be -?0\.[12] or beyond.*Correct conf/camera",
+        r"would be -?0\.[12], at the end of its range.*Correct conf/camera",
     ),
 }
 
 
 @pytest.mark.parametrize("wrong", WRONG)
-def test_it_refuses_with_the_reason(bench, wrong):
-    spoil, words = WRONG[wrong]
-    with pytest.raises(DataError, match=words):
-        aligned(bench, spoil(bench.observation(OFF)))
+def test_undetermined_alignment_is_refused_with_the_reason(bench, wrong):
+    spoil, message = WRONG[wrong]
+    with pytest.raises(DataError, match=message):
+        align_bench(bench, spoil(bench.observation(MISALIGNMENT)))
 
 
-def test_points_that_the_joints_told_show_nothing(bench):
+def test_points_computed_from_joint_angles_are_refused(bench):
     seen = bench.observation({})
     angles = bench.arm[list(JOINTS)].to_numpy()
     hand = bench.model.arm.joint_positions(
         interpolate_rows(seen.points["t"], bench.arm["t"], angles)
     )
     x, y = hand[:, -1].T
-    with pytest.raises(DataError, match="begin where the joints say"):
-        aligned(bench, replace(seen, points=seen.points.assign(x=x, y=y)))
+    with pytest.raises(DataError, match="computed from the joint angles"):
+        align_bench(bench, replace(seen, points=seen.points.assign(x=x, y=y)))
 
 
-def test_joints_that_turn_further_than_told_are_named(bench):
+def test_joint_gain_is_named_as_the_cause_of_a_misfit(bench):
     seen = bench.observation(
-        OFF | {"joint_gain.gain": 0.05}, sigma=3e-4, also=("joint_gain",)
-    )  # a lens hides most of it, and leaves 2.7 sigma
+        MISALIGNMENT | {"joint_gain.gain": 0.05},
+        sigma=3e-4,
+        extra_effects=("joint_gain",),
+    )  # lens distortion fits most of it; 2.7 sigma remain
     with pytest.raises(
         DataError, match="the joints turned more or less than they report"
     ):
-        aligned(bench, seen)
+        align_bench(bench, seen)
 
 
 # --- frames
@@ -276,16 +287,16 @@ LOOKS = {
 
 
 @pytest.mark.parametrize("arm_is", LOOKS)
-def test_the_arm_is_read_in_frames(model, arm_is):
-    """Clocks are found to 0.1 ms, and places to 0.3 of a pixel at 0.6 m, from frames.
+def test_alignment_from_frames(model, arm_is):
+    """The clock error is below 0.1 ms and other errors below 0.3 px at 0.6 m.
 
-    The frames have 320 x 320 px of 6 mm. A string hangs in the way.
+    Frames have 320 x 320 pixels of 6 mm and also show a string.
     """
     camera = replace(
         model.camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
     )
-    bench = stand(replace(model, camera=camera), motions=4)
-    t, joints = bench.joints(OFF, fps=30)
+    bench = build_bench(replace(model, camera=camera), motions=4)
+    t, joints = bench.joints(MISALIGNMENT, fps=30)
     look, rng = LOOKS[arm_is], np.random.default_rng(0)
     wall = render_background(camera, look, 0)
     string = joints[:, -1:] + np.linspace(0, 0.3, 20)[:, None] * np.array([0.3, -0.95])
@@ -296,21 +307,21 @@ def test_the_arm_is_read_in_frames(model, arm_is):
     nothing = Observation(
         "t01", POINTS.empty(), READINGS.empty(), MASKS.empty(), arm=bench.arm
     )
-    made = align(
+    alignment = align(
         bench.model, [nothing], {"t01": Film(t, images, arm=bench.arm)}, arm_width=0.035
     )
-    found = aligned_values(made)
+    found = found_values(alignment)
     assert found["time_offset.offset"] == pytest.approx(
-        OFF["time_offset.offset"], abs=1e-4
+        MISALIGNMENT["time_offset.offset"], abs=1e-4
     )
-    for name in set(OFF) - {"time_offset.offset"}:
-        assert found[name] == pytest.approx(OFF[name], abs=3e-3), name
-    assert len(made.seen) > 10 * len(t)
+    for name in set(MISALIGNMENT) - {"time_offset.offset"}:
+        assert found[name] == pytest.approx(MISALIGNMENT[name], abs=3e-3), name
+    assert len(alignment.seen) > 10 * len(t)
     page = alignment_page(
         StageRecord(
             "a",
-            made.sentence,
-            made,
+            alignment.sentence,
+            alignment,
             None,
             {},
             {"seed": 0, "code": {"commit": "0" * 10}},
@@ -323,32 +334,32 @@ def test_the_arm_is_read_in_frames(model, arm_is):
 # --- use of the result
 
 
-def taken_over(model, made):
-    """Return the model as another experiment takes it over."""
-    told = yaml.safe_load(made.extended_yaml)
-    known = {name: block["value"] for name, block in told["parameter_values"].items()}
+def take_over(model, alignment):
+    """Return the model of an experiment that uses the alignment."""
+    settings = yaml.safe_load(alignment.extended_yaml)
+    known = {
+        name: block["value"] for name, block in settings["parameter_values"].items()
+    }
     measured = {
         name: (block["low"], block["high"])
-        for name, block in told["parameter_values"].items()
+        for name, block in settings["parameter_values"].items()
     }
     return replace(
-        model.with_effects(*find_effects(told["effects"])),
+        model.with_effects(*find_effects(settings["effects"])),
         start_values=known,
         measured_ranges=measured,
     )
 
 
 @pytest.fixture(scope="module")
-def later(bench, model):
-    return taken_over(model, aligned(bench, bench.observation(OFF, fps=60, sigma=2e-4)))
+def aligned_model(bench, model):
+    return take_over(
+        model, align_bench(bench, bench.observation(MISALIGNMENT, fps=60, sigma=2e-4))
+    )
 
 
-def test_estimation_is_better_with_the_alignment_known(bench, model, later):
-    """Estimation with the alignment known leaves little residual; without it, far more.
-
-    The search is short and stays within 2 % of the true string. The noise is 1 mm in x
-    and in y.
-    """
+def test_alignment_reduces_the_residual_of_an_estimate(bench, model, aligned_model):
+    """A short search within 2 % of the true string, with noise of 1 mm in x and y."""
     known = {
         "bending_stiffness": 4.0,
         "bending_damping": 5e-3,
@@ -373,9 +384,11 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
     cast = bench.arm[bench.arm["t"] < 1.2]
     t, s = np.arange(0.1, 1.1, 0.04), model.string.arc_lengths()
     motion = resample_joint_motion(cast["t"].to_numpy(), cast[list(JOINTS)].to_numpy())
-    truth = model.with_effects(*find_effects(sorted({n.split(".")[0] for n in OFF})))
+    truth = model.with_effects(
+        *find_effects(sorted({n.split(".")[0] for n in MISALIGNMENT}))
+    )
     seen = truth.simulate_observation(
-        motion, truth.values(known | OFF)[None], t
+        motion, truth.values(known | MISALIGNMENT)[None], t
     ).points[0]
     seen = seen + 1e-3 * np.random.default_rng(0).normal(size=seen.shape)
     rows = {
@@ -395,7 +408,10 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
         "batch": 32,
     }
     matching = Matching(dilations=20, step_px=2, tip_step_px=3.0, delta_w=0.25)
-    models = [replace(m, string=replace(m.string, ranges=near)) for m in (model, later)]
+    models = [
+        replace(m, string=replace(m.string, ranges=near))
+        for m in (model, aligned_model)
+    ]
     left = [
         estimate(m, [observation], None, **how, matching=matching)
         .fit["rms_after"]
@@ -406,12 +422,10 @@ def test_estimation_is_better_with_the_alignment_known(bench, model, later):
     assert left[0] > 3 * left[1]
 
 
-def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(
-    bench, model, later
-):
-    t, joints = bench.joints(OFF, fps=50)
+def test_extraction_expects_the_hand_at_its_seen_position(bench, model, aligned_model):
+    t, joints = bench.joints(MISALIGNMENT, fps=50)
     plain, looked = (
-        aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, later)
+        aligned_footage(Film(t, [], arm=bench.arm), m) for m in (model, aligned_model)
     )
     off = [
         np.abs(footage.grasp[:, :2] - joints[:, -1]).max()
@@ -422,13 +436,15 @@ def test_extraction_looks_for_the_string_where_the_camera_has_the_hand(
     assert np.abs(looked.body - joints).max() < 1e-3
 
 
-def test_the_tip_is_judged_where_it_is(model, later):
+def test_points_are_moved_to_the_arm_frame(model, aligned_model):
     t = np.linspace(0, 1, 30)
     true = np.random.default_rng(0).uniform(-0.2, 0.8, (30, 2))
     stills = np.tile(true[None, :, None], (1, 3, 1, 1))
     x, y = (
         measurement_model(model)
-        .observed_points(stills, measurement_model(model).values(OFF)[None], t)[0, :, 0]
+        .observed_points(
+            stills, measurement_model(model).values(MISALIGNMENT)[None], t
+        )[0, :, 0]
         .T
     )
     points = POINTS.check(pd.DataFrame({"t": t, "s": 0.0, "x": x, "y": y}))
@@ -446,7 +462,7 @@ def test_the_tip_is_judged_where_it_is(model, later):
             }
         )
     )
-    right = transform_to_arm_frame(Points(points, tips, MASKS.empty()), later)
+    right = transform_to_arm_frame(Points(points, tips, MASKS.empty()), aligned_model)
     for table, columns in (
         (right.points, ["x", "y"]),
         (right.readings, ["tip_x", "tip_y"]),
@@ -458,22 +474,15 @@ def test_the_tip_is_judged_where_it_is(model, later):
 
 
 def hand_speed(arm, angles):
-    """Return the greatest speed of the hand [m/s].
-
-    `angles` has shape (K, J).
-    """
+    """Return the largest speed of the hand [m/s] for angles (K, J)."""
     return np.linalg.norm(
         arm.grasp_velocity(angles, np.gradient(angles, arm.tick, axis=0))[:, :2],
         axis=-1,
     ).max()
 
 
-def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
-    """A slow and wide swing keeps the hand's speed limit.
-
-    The lever changes much on the way. Where this was not checked, the speed was up to
-    1.6 times the limit.
-    """
+def test_hand_speed_limit_holds_for_wide_swings(arm):
+    """The lever changes much in a wide swing, by up to a factor of 1.6 in speed."""
     rng = np.random.default_rng(0)
     for _ in range(40):
         angles, _ = draw_swings(
@@ -482,15 +491,10 @@ def test_the_hand_is_never_faster_than_asked_however_far_it_swings(arm):
         assert hand_speed(arm, angles) < 1.001 * 5.0
 
 
-def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_count(
-    model, monkeypatch
-):
-    """The ranking agrees with the offset's uncertainty from sightings 10 ms apart.
-
-    Everything but a lag is unknown. Drawn motions differ by half.
-    """
+def test_information_ranks_motions_by_the_offset_uncertainty(model, monkeypatch):
+    """The offset's variance is computed from sightings 10 ms apart, without a lag."""
     monkeypatch.setattr("stringcast.stages.align.excitation.excite.CLOCK_WEIGHT", 1e6)
-    told, known = [], []
+    information, variances = [], []
     for seed in range(6):
         angles, speeds = draw_swings(
             model.arm,
@@ -500,7 +504,7 @@ def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_co
             highest=2.5,
             sines=3,
         )
-        told.append(alignment_information(model, angles, speeds))
+        information.append(alignment_information(model, angles, speeds))
         t = np.arange(0, 3.0, 0.01)
         hand = hand_sightings(t, np.zeros((len(t), 2)), np.ones(len(t)), 3)
         problem = AlignmentProblem(
@@ -515,26 +519,26 @@ def test_motions_are_ranked_by_how_well_they_tell_the_clocks_where_only_these_co
             (*REQUIRED_EFFECTS, "clock_drift", "rolling_shutter", "lens_distortion")
         )
         slope = problem.jacobian(names, np.zeros(len(names)))
-        known.append(
+        variances.append(
             np.linalg.inv(slope.T @ slope)[names.index("time_offset.offset")][0]
         )
-    assert max(known) > 1.5 * min(known)
-    assert np.corrcoef(told, -np.log(known))[0, 1] > 0.99
+    assert max(variances) > 1.5 * min(variances)
+    assert np.corrcoef(information, -np.log(variances))[0, 1] > 0.99
 
 
-def test_a_swing_that_does_not_come_round_once_is_refused(model):
+def test_duration_below_one_period_is_refused(model):
     with pytest.raises(
         DataError, match=r"excite\.highest=0\.2 Hz .*excite\.duration=4 s\. Raise one"
     ):
         excite(model, (), seed=0, **SWING | {"highest": 0.2})
 
 
-def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obstacles(
+def test_motion_is_slow_starts_at_rest_and_avoids_obstacles(
     model,
 ):
     box = Box(0.75, 0.7, 0.05, 0.05)
-    made = excite(model, (box,), seed=3, **SWING)
-    angles, arm = made.commands[list(JOINTS)].to_numpy(), model.arm
+    motion = excite(model, (box,), seed=3, **SWING)
+    angles, arm = motion.commands[list(JOINTS)].to_numpy(), model.arm
     speeds = np.gradient(angles, arm.tick, axis=0)
     hand = arm.joint_positions(angles)[:, -1]
     assert 0.9 * SWING["speed"] < hand_speed(arm, angles) < 1.001 * SWING["speed"]
@@ -547,15 +551,15 @@ def test_the_motion_is_slow_begins_at_rest_and_keeps_the_strings_length_from_obs
     assert (pixels < 639).all()
 
 
-def test_more_motions_are_drawn_where_the_first_ones_are_not_allowed(model):
-    """Of three motions none keeps clear of this box; a later one does."""
+def test_more_motions_are_drawn_until_one_is_allowed(model):
+    """None of the first three motions avoids this box; the fourth does."""
     box = Box(0.6, 0.5, 0.1, 0.1)
-    made = excite(model, (box,), seed=0, **SWING | {"motions": 3, "speed": 0.5})
-    counts = made.attempts.set_index("outcome")["count"]
+    motion = excite(model, (box,), seed=0, **SWING | {"motions": 3, "speed": 0.5})
+    counts = motion.attempts.set_index("outcome")["count"]
     assert counts["allowed"] == 1
     assert counts.sum() == 4
 
 
-def test_where_there_is_no_room_it_says_so(model):
+def test_obstacles_that_forbid_every_motion_are_named(model):
     with pytest.raises(DataError, match="the string could touch an obstacle"):
         excite(model, (Box(0.5, 0.4, 0.5, 0.5),), seed=0, **SWING)

@@ -11,7 +11,7 @@ from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.settings_from_runs import read_extended_model
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from tests.alignment.stand import OFF, stand
+from tests.alignment.stand import MISALIGNMENT, build_bench
 from tests.experiments import resolve_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,7 +23,7 @@ def experiment_with(parameter_values, effects=("time_offset",)):
     return prepare_experiment(resolve_settings() | known, lambda block: f"conf/{block}")
 
 
-def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
+def test_measured_interval_limits_the_search():
     parameter = experiment_with(MEASURED).model.parameters[-1]
     assert (parameter.name, parameter.start, parameter.low, parameter.high) == (
         "time_offset.offset",
@@ -36,7 +36,7 @@ def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("setting", "message"),
     [
         ({"value": 0.012, "low": 0.013, "high": 0.014}, "must enclose value"),
         ({"value": 0.012, "low": 0.01}, "it must be a number, or value, low and high"),
@@ -46,16 +46,16 @@ def test_what_was_measured_is_where_a_search_begins_and_all_it_searches():
         ),
     ],
 )
-def test_a_range_that_is_none_is_refused(told, words):
-    with pytest.raises(UserError, match=words):
-        experiment_with({"time_offset.offset": told})
+def test_invalid_range_is_refused(setting, message):
+    with pytest.raises(UserError, match=message):
+        experiment_with({"time_offset.offset": setting})
 
 
-def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
+def test_alignment_of_stored_points_is_used_by_the_next_experiment(
     arm, camera, called, undrawn, tmp_path
 ):
-    bench = stand(Model(String(0.3), arm, camera))
-    seen = bench.observation(OFF)
+    bench = build_bench(Model(String(0.3), arm, camera))
+    seen = bench.observation(MISALIGNMENT)
     trials = tmp_path / "trials"
     trials.mkdir()
     for name, table in (("arm", seen.arm), ("points", seen.points)):
@@ -63,14 +63,14 @@ def test_stored_points_are_aligned_and_the_next_experiment_takes_it_over(
     about = {"format": 1, "name": "swing", "string": {"length": 0.3}}
     about["arm"] = {"links": list(arm.links), "base": list(arm.base)}
     (trials / "dataset.yaml").write_text(yaml.safe_dump(about))
-    ended = called(
+    result = called(
         "+experiment=align", f"trials={trials}", f"hydra.run.dir={tmp_path / 'run'}"
     )
-    assert ended.returncode == 0, ended.stderr
-    told = read_extended_model(tmp_path / "run")
-    taken = experiment_with(**told).model
-    assert set(taken.measured_ranges) == set(OFF)
-    for name, value in OFF.items():
-        low, high = taken.measured_ranges[name]
+    assert result.returncode == 0, result.stderr
+    settings = read_extended_model(tmp_path / "run")
+    model = experiment_with(**settings).model
+    assert set(model.measured_ranges) == set(MISALIGNMENT)
+    for name, value in MISALIGNMENT.items():
+        low, high = model.measured_ranges[name]
         assert low - 0.5 * (high - low) < value < high + 0.5 * (high - low), name
     assert "would look the same" in (tmp_path / "run" / "report.html").read_text()

@@ -1,4 +1,4 @@
-"""Excite: a motion of the arm that tells the most of camera and clock."""
+"""Excite: choose the most informative motion for the alignment of camera and clock."""
 
 from stringcast.data.artifacts import Motion
 from stringcast.stages.spec import MODEL, StageSpec

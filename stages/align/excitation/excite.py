@@ -1,9 +1,9 @@
-"""Excite: a motion from which camera and clock are measured, slow enough to be safe.
+"""Excite: choose a slow motion from which camera and clock are measured.
 
-Each joint swings by a sum of sines that begins and ends at rest. Of many drawn motions
-that the arm may do, the one with the largest information is taken (D-optimality). The
-clocks count more. Reversals at several frequencies distinguish an arm lag, which
-attenuates the quick ones, from a clock offset.
+Each joint swings by a sum of sines that starts and ends at rest. The motion with the
+largest information among many drawn ones is taken (D-optimality), with extra weight on
+the clock offset. Several frequencies distinguish an arm lag, which attenuates the high
+ones, from a clock offset.
 
 References
 ----------
@@ -48,29 +48,18 @@ from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import StageCall
 
-RAMP_FRACTION = 0.2  # of the time, in which the swing grows and in which it fades
-PICTURE_MARGIN = 0.03  # of the picture's width that stays free around the arm
-# an unseen effect, such as a faint rolling shutter, must not move the clocks
+RAMP_FRACTION = 0.2  # share of the time in which the swing grows, and in which it fades
+PICTURE_MARGIN = 0.03  # free margin around the arm, as a share of the picture's width
+# extra weight: undetected effects, such as a faint rolling shutter, bias the offset
 CLOCK_WEIGHT = 2
-# where the design is judged: without a lag it would look like an offset
+# values at which the design is evaluated; a lag of zero would look like an offset
 TYPICAL_VALUES = {LAG: 0.005}
-MAX_DRAWS_RATIO = 25  # of motions that are drawn among obstacles, until one is allowed
-SIGHTING_INTERVAL_S = 0.01  # for which the design is judged
+MAX_DRAWS_RATIO = 25  # draws over configured draws, until a motion is allowed
+SIGHTING_INTERVAL_S = 0.01  # at which the design is evaluated
 
 
 def run(call: StageCall) -> Motion:
-    """Draw the motion, as a stage.
-
-    Parameters
-    ----------
-    call
-        Model, obstacles, seed, progress and the configured function.
-
-    Returns
-    -------
-    Motion
-        The motion.
-    """
+    """Choose the motion for a run's model and obstacles."""
     motion: Motion = call.by(
         call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress
     )
@@ -91,8 +80,7 @@ def excite(
 ) -> Motion:
     """Draw motions and return the most informative one.
 
-    The hand stays a string's length away from obstacles, so that no string can touch
-    them.
+    The hand stays a string's length away from obstacles.
 
     Parameters
     ----------
@@ -101,9 +89,9 @@ def excite(
     obstacles
         Boxes to avoid.
     seed
-        Of the random draws.
+        Seed of the random draws.
     duration
-        Of the motion [s].
+        Duration of the motion [s].
     speed
         Largest speed of the hand [m/s].
     highest
@@ -113,7 +101,7 @@ def excite(
     motions
         Number of motions to draw; more are drawn until one is allowed.
     progress
-        Reports the share that is done.
+        Called with the completed share.
 
     Returns
     -------
@@ -127,7 +115,7 @@ def excite(
     """
     if highest * duration < 1:
         raise DataError(
-            f"excite.highest={highest:g} Hz (conf/excite) does not come round once in "
+            f"one period of excite.highest={highest:g} Hz (conf/excite) is longer than "
             f"excite.duration={duration:g} s. Raise one of them."
         )
     rng = np.random.default_rng(seed)
@@ -148,7 +136,7 @@ def excite(
         counts = [f"{reason}: {count}" for reason, count in outcomes.most_common()]
         raise DataError(
             f"no motion of {outcomes.total()} is allowed ({'; '.join(counts)}). "
-            "Lower excite.speed, raise excite.motions, or make room."
+            "Lower excite.speed, raise excite.motions, or move the obstacles."
         )
     return build_motion(model.arm, best, outcomes)
 
@@ -161,21 +149,21 @@ def draw_swings(
     highest: float,
     sines: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw swings about a random pose, with the hand as fast as `speed`.
+    """Draw swings about a random pose, with `speed` as the hand's largest speed.
 
     Parameters
     ----------
     arm
         The arm.
     rng
-        Of the random draws.
+        Source of randomness.
     duration, speed, highest, sines
         As in `excite`.
 
     Returns
     -------
     tuple of array
-        Angles [rad] and speeds [rad/s] on the arm's tick (K, J).
+        Angles [rad] and speeds [rad/s] at the arm's ticks (K, J).
     """
     t = np.arange(round(duration / arm.tick) + 1) * arm.tick
     low, high = np.asarray(arm.lowest), np.asarray(arm.highest)
@@ -193,7 +181,7 @@ def draw_swings(
 def rise_and_fade(share: np.ndarray) -> np.ndarray:
     """Rise from 0 to 1 and fade to 0 over shares of the time (K,).
 
-    The second derivative does not jump.
+    The second derivative is continuous.
     """
     x = np.clip(np.minimum(share, 1 - share) / RAMP_FRACTION, 0, 1)
     return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
@@ -213,7 +201,7 @@ def largest_scale(
         return float(np.linalg.norm(velocity, axis=-1).max())
 
     scale = 1.0
-    for _ in range(3):  # the lever changes with the angles
+    for _ in range(3):  # the Jacobian changes with the angles
         scale *= 0.99 * speed / hand_speed(scale)
     while hand_speed(scale) > speed:
         scale *= 0.99
@@ -223,7 +211,7 @@ def largest_scale(
 def violated_limit(
     model: Model, obstacles: Sequence[Box], angles: np.ndarray, speeds: np.ndarray
 ) -> str:
-    """Return the limit that a motion (K, J) violates in words; empty if none."""
+    """Name the limit that a motion (K, J) violates; empty if none."""
     arm, camera = model.arm, model.camera
     fault = str(arm_faults(arm, obstacles, angles[None], speeds[None])[0])
     if fault:
@@ -242,11 +230,11 @@ def violated_limit(
 def alignment_information(
     model: Model, angles: np.ndarray, speeds: np.ndarray
 ) -> float:
-    """Return the information of a motion about the alignment.
+    """Compute the information of a motion about the alignment.
 
     It is the log determinant of the Fisher information of all parameters, plus
-    CLOCK_WEIGHT times the log information about the clock offset if the others are
-    unknown, except a lag: with a lag, only the sum of both is measured.
+    CLOCK_WEIGHT times the log information about the clock offset with all others
+    unknown. A lag is left out there, because only its sum with the offset is measured.
 
     Parameters
     ----------
@@ -263,7 +251,7 @@ def alignment_information(
     arm = model.arm
     motion = JointMotion(0.0, arm.tick, angles[None], speeds[None])
     times = np.arange(0, (len(angles) - 1) * arm.tick, SIGHTING_INTERVAL_S)
-    # the Jacobian does not depend on where the hand is seen
+    # the Jacobian does not depend on the seen positions
     places, sigma = np.zeros((len(times), 2)), np.ones(len(times))
     hand = hand_sightings(times, places, sigma, len(arm.links))
     trial = SightedTrial("", motion, hand)
@@ -279,7 +267,7 @@ def alignment_information(
 
 
 def build_motion(arm: Arm, angles: np.ndarray, outcomes: Counter[str]) -> Motion:
-    """Return the artifact of angles (K, J), without a target and a predicted string."""
+    """Build the artifact of angles (K, J), without a target and a predicted string."""
     columns = {"t": np.arange(len(angles)) * arm.tick}
     columns |= dict(zip(JOINTS, angles.T, strict=True))
     columns |= dict(zip(SPEEDS, arm.commanded_velocities(angles).T, strict=True))

@@ -39,7 +39,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
-from tests.alignment.stand import Stand
+from tests.alignment.stand import AlignmentBench
 from tests.conftest import configured
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -129,7 +129,10 @@ def draw_misalignment(seed: int) -> dict[str, float]:
 def pointed(noise: str, fps: float, seed: int) -> dict[str, object]:
     """Align by observed points."""
     correlation, readout = NOISES[noise]
-    bench, true = Stand(laid(fps), draw_motion(seed), seed), draw_misalignment(seed)
+    bench, true = (
+        AlignmentBench(laid(fps), draw_motion(seed), seed),
+        draw_misalignment(seed),
+    )
     seen = bench.observation(
         true | {"rolling_shutter.readout": readout}, fps, SIGMA, correlation
     )
