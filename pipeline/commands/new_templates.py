@@ -171,7 +171,7 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Search the highest matching rate among uniform candidates.
+    """Search for the highest matching rate among uniform candidates.
 
     Arguments after `*` are settings, except for those that a run supplies: `seed`,
     `cast_number` (the number of the cast, from 1) and `progress`.

@@ -1,4 +1,4 @@
-"""Estimate: the string's parameters from trials, three ways with one signature (IV)."""
+"""Estimate the string's parameters from trials, by one of three methods (IV)."""
 
 from stringcast.data.estimates import Estimate
 from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec

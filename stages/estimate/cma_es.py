@@ -30,9 +30,9 @@ from stringcast.stages.estimate.result import (
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import declare_string_counts
 
-# The first mean keeps off the bounds: about a point there half of the draws lie beyond
+# range of the first mean; around a mean at a bound, half of the draws lie outside
 MEAN_RANGE = (0.05, 0.95)
-REJECTED_COST = 1.0  # of a run that diverged: more than any other, as E is at least 0
+REJECTED_COST = 1.0  # of a diverged run; others cost at most 0
 
 
 @declare_string_counts(lambda given: {"candidates": given["candidates"]})
@@ -49,9 +49,9 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Search the parameters with the highest matching rate E.
+    """Search for the parameters with the highest matching rate E.
 
-    A search that has converged starts again at random until `candidates` are spent.
+    After convergence the search restarts at random until `candidates` are used up.
 
     Parameters
     ----------
@@ -60,11 +60,11 @@ def estimate(
     cast_number
         Number of the cast, from 1.
     candidates
-        Number of candidates.
+        Total number of candidates.
     sigma
-        First step in chi, which is divided by `cast_number`.
+        Initial step in chi, which is divided by `cast_number`.
     population
-        Candidates of a generation.
+        Number of candidates in a generation.
     matching
         Settings of E.
     """

@@ -1,7 +1,7 @@
 """Least squares on the centre-line, with a 95 % interval of each parameter.
 
-The best of random strings are refined side by side on a widening horizon
-(`inference.search`); outliers count less. The intervals are those of a jackknife over
+The best of random strings are refined together on a growing part of the trials
+(`inference.search`), with a robust loss. The intervals come from a jackknife over
 blocks of time (`inference.covariance`).
 """
 
@@ -53,9 +53,9 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import declare_string_counts
 
-UNDETERMINED_WIDTH = 0.3  # of an interval in chi that determines nothing
-MISFIT_RATIO = 1.5  # times the points' sigma: a larger residual is more than noise
-STRINGS_PER_ITERATION = 10  # slopes by each unknown, and the step itself
+UNDETERMINED_WIDTH = 0.3  # width in chi from which an interval determines nothing
+MISFIT_RATIO = 1.5  # residual over sigma from which the residual is not noise alone
+STRINGS_PER_ITERATION = 10  # for slopes by the parameters, and for the step
 
 
 def _string_counts(settings: Mapping[str, Any]) -> Mapping[str, float]:
@@ -82,31 +82,30 @@ def estimate(
 ) -> Estimate:
     """Fit the parameters to the measured points, with 95 % intervals.
 
-    The intervals cover noise. They do not cover what the model itself misses; the
-    sentence says so where the residual is more than noise.
+    The intervals cover noise, but not model error. The sentence of the estimate warns
+    if the residual exceeds the noise.
 
     Parameters
     ----------
     previous
-        Estimate of the last cast, one of the starts and of those that are
-        fitted to the whole trials.
+        Estimate of the last cast; always refined on the whole trials.
     seed, cast_number
-        Of the random candidates.
+        Seeds of the random candidates.
     starts
         Number of candidates that are refined.
     screening
         Number of random candidates from which the starts are chosen.
     iterations
-        Of each start at most, before the whole trials are fitted.
+        Largest number for each start, before the whole trials are fitted.
     matching
-        Settings of E, by which all candidates are scored, too.
+        Settings of E, which is computed for all candidates.
     """
     targets = matching_targets(model, observations, matching)
     before = start_chi(model, previous)
     rng = np.random.default_rng([seed, cast_number])
     drawn = rng.uniform(0, 1, (screening, len(before)))
-    # Known values of added effects are refined, but not drawn from their whole range,
-    # where a dry friction, say, needs a hundred times as many steps.
+    # Known values of added effects are refined, but not drawn: elsewhere in its range,
+    # dry friction, for example, needs a hundred times as many steps.
     for index, name in enumerate(model.names):
         if "." in name and name in model.start_values:
             drawn[:, index] = before[index]
@@ -122,11 +121,11 @@ def estimate(
     likelihood, best = refine_at_mesh_limit(on_mesh, best)
     is_at_limit = likelihood is not on_mesh
 
-    compared = likelihood.data.trials
+    corrected_trials = likelihood.data.trials
     if is_at_limit:
-        compared = tuple(subtract_uncertain_error(likelihood, best))
+        corrected_trials = tuple(subtract_uncertain_error(likelihood, best))
     mesh_errors = []
-    for number, trial in enumerate(compared):
+    for number, trial in enumerate(corrected_trials):
         mesh_errors.append(trial.points - on_mesh.data.trials[number].points)
         targets[number] = replace(targets[number], trial=trial)
     tried = np.concatenate([tried, best[None]])
@@ -146,7 +145,7 @@ def estimate(
 def _parameter_intervals(
     likelihood: Likelihood, best: np.ndarray, covariance: Covariance
 ) -> Interval:
-    """Compute 95 % intervals about the solution (P,), with their caveats."""
+    """Compute 95 % intervals around the solution (P,), and describe their limits."""
     parameters = likelihood.parameters
     low = np.clip(best - covariance.half_width_95, 0, 1)
     high = np.clip(best + covariance.half_width_95, 0, 1)
@@ -162,12 +161,12 @@ def _parameter_intervals(
 
 
 def _describe_misfit(scale: float) -> str:
-    """Warn of a residual that is more than noise. scale: over the points' sigma."""
+    """Warn of a residual above the noise. scale: residual over the points' sigma."""
     if scale < MISFIT_RATIO:
         return ""
     return (
-        f" The residual is up to {scale:.1f} times what the points' uncertainty "
-        "explains: the model misses something, and the intervals do not cover that."
+        f" The residual is up to {scale:.1f} times the points' uncertainty: the model "
+        "is incomplete, and the intervals do not cover its error."
     )
 
 

@@ -1,4 +1,4 @@
-"""The matching rate E of IV-B: mass points against dilated images of the string."""
+"""Compute the matching rate E of mass points with dilated images (IV-B)."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from stringcast.stages.model.parameter import parameter_values
 
 cv2 = LazyModule("cv2")
 
-CANDIDATES_PER_THREAD = 64  # at least: each takes ten microseconds and more
-LINE_WIDTH_PX = 3  # of the measured centre-line, where a frame has no image
+CANDIDATES_PER_THREAD = 64  # at least; each takes at least ten microseconds
+LINE_WIDTH_PX = 3  # of the measured centre-line, in frames without an image
 Count = Annotated[int, Field(ge=1, le=255)]
 
 
 @dataclass(frozen=True)
 class Matching:
-    """The settings by which E is scored.
+    """Settings of the matching rate.
 
     Parameters
     ----------
     dilations
-        Number of dilations, p_max.
+        Number of dilations p_max.
     step_px
-        Growth by one dilation.
+        Growth by one dilation [px].
     tip_step_px
-        Distance from the tip that costs one score.
+        Distance from the tip that lowers the score by one [px].
     delta_w
         Increase of the weight from point to point (Eq. 6).
     """
@@ -50,24 +50,24 @@ class Matching:
 
 @dataclass(frozen=True)
 class MatchingTarget:
-    """The images and points of a trial that simulated strings are matched with.
+    """Images and points of a trial, prepared for the comparison with simulated strings.
 
     Parameters
     ----------
     trial
-        Its motion and measured points.
+        Motion and measured points.
     matching
         Settings of the score.
     scores
-        Scores of the pixels near the string, uint8, row by row and frame after frame:
-        the rest of a score map is zero.
+        Scores of the pixels near the string, uint8, row by row and frame by frame; all
+        other scores are zero.
     windows
-        Of each frame, where its scores begin, its first row and column, and its height
+        Window of each frame: index of its first score, first row and column, height
         and width [px], (F, 5).
     tips
         Positions of the tip, (F, 2) [px].
     weights
-        Of the mass points in each frame, (F, n).
+        Weights of the mass points in each frame, (F, n).
     """
 
     trial: PreparedTrial
@@ -78,14 +78,14 @@ class MatchingTarget:
     weights: np.ndarray
 
     def rates_by_frame(self, values: np.ndarray) -> np.ndarray:
-        """Compute E_f of candidates (C, P), (C, F); NaN where a run was rejected."""
+        """Compute E_f of candidates (C, P), (C, F); NaN where one diverged."""
         rates = np.full((len(values), len(self.windows)), np.nan)
         for chunk, motion in self.trial.simulate(values):
             rates[chunk] = self.rates_of_motion(motion)
         return rates
 
     def rates_of_motion(self, motion: StringMotion) -> np.ndarray:
-        """Compute E_f of C simulated strings, (C, F); NaN where a run was rejected."""
+        """Compute E_f of C simulated strings, (C, F); NaN where one diverged."""
         rates = frame_matching_rates(
             self.trial.model.camera.pixels(motion.points),
             self.scores,
@@ -119,7 +119,7 @@ def matching_rate(targets: Sequence[MatchingTarget], chi: np.ndarray) -> np.ndar
 
     Returns
     -------
-    E, (C,); NaN where a run was rejected.
+    E, (C,); NaN where the simulation diverged.
     """
     values = parameter_values(targets[0].trial.model.parameters, chi)
     rates = [target.rates_by_frame(values) for target in targets]
@@ -137,19 +137,19 @@ def frame_matching_rates(
 ) -> np.ndarray:
     """Compute E_f = sum p_i w_i / (p_max sum w_i) of candidates, (C, F) (Eq. 5).
 
-    A point scores what `scores` have at its pixel, 0 outside a frame's window. The tip
-    scores p_max less one for each `tip_step` pixels from the measured tip.
+    The score of a point is that of its pixel, 0 outside a frame's window. The score of
+    the tip is p_max minus one for each `tip_step` pixels from the measured tip.
 
     Parameters
     ----------
     pixels
         Mass points, (C, F, n, 2) [px].
     scores, windows, tips, weights
-        As of `MatchingTarget`.
+        As in `MatchingTarget`.
     tip_step
-        [px].
+        Distance that lowers the tip's score by one [px].
     max_score
-        The highest score, p_max.
+        The highest score p_max.
     """
     result = np.empty(pixels.shape[:2])
 
@@ -202,7 +202,7 @@ def _match_candidates(
 def _matching_target(
     trial: PreparedTrial, observation: Observation, matching: Matching
 ) -> MatchingTarget:
-    """Score the images, or the measured points of frames without; weigh the points."""
+    """Compute scores of images, or of measured points without image, and weights."""
     masks = observation.masks
     images = dict(zip(masks["t"], masks["png"], strict=True))
     camera = trial.model.camera
@@ -235,8 +235,8 @@ def _matching_target(
 def _point_weights(trial: PreparedTrial, delta_w: float) -> np.ndarray:
     """Weigh the mass points that each frame shows by Eq. 6, (F, n).
 
-    w_i = 1 + (i - 1) delta_w. Where the tip is hidden, or only a marker was measured,
-    nothing is known of the other points: their weight is 0.
+    w_i = 1 + (i - 1) delta_w. Points beyond the measured part of the string have weight
+    0, for example if the tip is hidden.
     """
     string = trial.model.string
     s, half = string.arc_lengths(), string.segment_length / 2

@@ -1,14 +1,15 @@
-"""Parameters that the trials leave possible about a solution.
+"""Draw parameters from the posterior around a solution.
 
-Forces are linear in the values of most parameters. So the residuals are linear in the
-values as well, also where one drag stands in for the other, which a line in exponents
-leaves at once. Before the trials every exponent is equally likely. Were every value, a
-damping that no trial shows would be large: of 58 looks, tips in random casts were then
-13 mm off the median draw in the mean, and 10 mm with exponents.
+The likelihood is normal in the values, because forces, and so residuals, are nearly
+linear in most values. This also holds where one drag can replace the other; in
+exponents, such a valley is curved. The prior is uniform in the exponents. A prior that
+is uniform in the values would make a damping that no trial shows large: after 58 looks,
+tips in random casts were then 13 mm from the median draw in the mean, and 10 mm with
+exponents.
 
 A block of time counts as one measurement of each coordinate, as in the comparison of
-causes. What a model misses, such as the error of its mesh, is alike within a block. It
-shifts a solution by 4 to 40 standard errors of independent noise.
+causes. Model error, such as that of the mesh, is correlated within a block. It shifts a
+solution by 4 to 40 standard errors of independent noise.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.parameter import Parameter, parameter_values
 
 POSTERIOR_DRAWS = 400
-LEAST_MEAN_SQUARE = 1e-6  # of residuals over their noise: data may have none
+LEAST_MEAN_SQUARE = 1e-6  # of residuals over sigma, for data without noise
 
 
 def sample_posterior(
@@ -36,10 +37,10 @@ def sample_posterior(
     independent_share: float,
     seed: int,
 ) -> np.ndarray:
-    """Draw POSTERIOR_DRAWS exponents (K, P) about a solution (P,), within ranges."""
+    """Draw POSTERIOR_DRAWS exponents (K, P) around a solution (P,), within ranges."""
     values = parameter_values(parameters, chi)
     unit = parameter_values(parameters, chi + linear.step) - values
-    change = linear.step[:, None] * linear.slope  # of the residuals with a unit
+    change = linear.step[:, None] * linear.slope  # of the residuals by a unit step
     weighted = linear.weight * change
     square = np.mean(linear.weight * linear.residual**2)
     precision = independent_share / max(square, LEAST_MEAN_SQUARE)
@@ -51,16 +52,16 @@ def sample_posterior(
 
 
 def share_of_blocks(linear: Linearisation) -> float:
-    """Compute the share of residuals that are independent if a block counts as one."""
+    """Compute the share of independent residuals if each block counts as one."""
     return float(2 * (linear.block.max() + 1) / len(linear.residual))
 
 
 def sample_least_squares_posterior(
     targets: Sequence[MatchingTarget], chi: np.ndarray, seed: int
 ) -> np.ndarray:
-    """Draw exponents (K, P) about a solution (P,), whichever way it was found.
+    """Draw exponents (K, P) around a solution (P,) of any method.
 
-    The residuals are those of least squares there.
+    The residuals are those of least squares at the solution.
     """
     trials = tuple(target.trial for target in targets)
     likelihood = Likelihood(TrialData(trials), trials[0].model)

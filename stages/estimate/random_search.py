@@ -1,4 +1,4 @@
-"""The paper's estimation: a narrowing random search on the matching rate (IV-A)."""
+"""Estimate as in the paper: a narrowing random search on the matching rate (IV-A)."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ def estimate(
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:
-    """Search the parameters with the highest matching rate E.
+    """Search for the parameters with the highest matching rate E.
 
     Candidate m is chi_best + chi_0 / M beta^m RAND(-1, 1), clipped to [0, 1] (Eq. 4),
-    each parameter with a random number of its own. chi_best is the best so far: the
-    narrowing by beta^m would make no sense about a point that stays.
+    with a random number for each parameter. chi_best is the best candidate so far; the
+    narrowing by beta^m would be pointless around a fixed point.
 
     Parameters
     ----------
     previous
         Estimate of the last cast, where the search starts.
     cast_number
-        M, from 1.
+        Number M of the cast, from 1.
     candidates
         Number of candidates.
     chi_0, beta
-        First range of the exponents, and its narrowing by each candidate.
+        Initial range of the exponents, and the factor on it for each candidate.
     batch
-        Candidates drawn at a time from the same chi_best, so that they fill the
-        machine: 1 is one by one, as many as `candidates` is Eq. 4 to the letter.
+        Number of candidates drawn from the same chi_best and simulated together. With
+        1, chi_best is updated after each candidate; with `candidates`, never.
     matching
         Settings of E.
     """

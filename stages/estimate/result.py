@@ -1,4 +1,4 @@
-"""From candidates and scores to the Estimate artifact, the same for every method."""
+"""Build the Estimate artifact from candidates and scores, for every method."""
 
 from __future__ import annotations
 
@@ -27,13 +27,15 @@ from stringcast.stages.model.parameter import (
     parameter_values,
 )
 
-EQUAL_RATE_TOLERANCE = 0.01  # of E: candidates so near to the best are as good
-UNDETERMINED_SPREAD = 0.5  # of the range, of a parameter's good values
-SCAN_EXPONENTS = np.linspace(0, 1, 21)  # at which a parameter is tried for that
-MAX_CORRELATION = 0.95  # beyond which only a combination is determined
+EQUAL_RATE_TOLERANCE = 0.01  # difference of E within which candidates are equally good
+UNDETERMINED_SPREAD = (
+    0.5  # spread of a parameter's good values, as a share of its range
+)
+SCAN_EXPONENTS = np.linspace(0, 1, 21)  # at which each parameter is tried
+MAX_CORRELATION = 0.95  # above which only a combination is determined
 MIN_MATCHING_RATE = 0.6  # E below which the model does not explain the data
-MAX_RMS_SHARE = 0.1  # of the string's length: a larger residual is no fit either
-BOUND_TOLERANCE = 0.01  # of the range: a value so near to an end is at the end
+MAX_RMS_SHARE = 0.1  # of the string's length; a larger residual is not a fit
+BOUND_TOLERANCE = 0.01  # share of a range within which a value is at its end
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Candidates:
     Parameters
     ----------
     method
-        Its name.
+        Name of the method.
     chi
         Exponents, (C, P).
     matching_rate
@@ -55,7 +57,7 @@ class Candidates:
     matching_rate: np.ndarray
 
     def __post_init__(self) -> None:
-        """Refuse a search without a single string in it."""
+        """Refuse a search in which every simulation diverged."""
         if np.isnan(self.matching_rate).all():
             raise DataError(
                 f"{self.method}: none of {len(self.chi)} candidates stayed finite. "
@@ -64,13 +66,13 @@ class Candidates:
 
     @property
     def best(self) -> np.ndarray:
-        """The exponents (P,) of the candidate with the highest E."""
+        """Exponents (P,) of the candidate with the highest E."""
         return np.asarray(self.chi[np.nanargmax(self.matching_rate)])
 
 
 @dataclass(frozen=True)
 class Interval:
-    """How well the data determine the parameters.
+    """Uncertainty of the parameters.
 
     Parameters
     ----------
@@ -79,7 +81,7 @@ class Interval:
     determined
         Which parameters the data determine, (P,) bool.
     sentence
-        The same in words.
+        Description in words.
     """
 
     low: np.ndarray
@@ -89,7 +91,7 @@ class Interval:
 
 
 def start_chi(model: Model, previous: Estimate | None) -> np.ndarray:
-    """Choose the start of a search, (P,): the previous estimate or the start values."""
+    """Return the start of a search, (P,): the previous estimate or the start values."""
     known = {} if previous is None else previous.values()
     return model.exponents_of_values(known)
 
@@ -100,14 +102,14 @@ def build_search_estimate(
     search: Candidates,
     seed: int,
 ) -> Estimate:
-    """Build the artifact of a search on E, whose best candidate is the estimate.
+    """Build the artifact of a search on E; its best candidate is the estimate.
 
     Parameters
     ----------
     before
         Exponents of the start, (P,).
     seed
-        Of the draws of the posterior.
+        Seed of the draws of the posterior.
     """
     interval = insensitive_parameters(targets, search)
     draws = sample_least_squares_posterior(targets, search.best, seed)
@@ -130,13 +132,13 @@ def build_estimate(
     before, after
         Exponents of the start and of the estimate, (P,).
     search
-        All candidates that were tried.
+        All candidates.
     draws
-        Exponents that the trials leave possible, (K, P).
+        Exponents drawn from the posterior, (K, P).
     mesh_errors
-        Points on the mesh less those on a far finer one, which were added to the
-        measured points of each target, (N, 2) [m]; None if the parameters are those of
-        the string on its mesh.
+        Points on the mesh minus those on a much finer one, which were added to the
+        measured points of each target, (N, 2) [m]; None if the mesh error was not
+        subtracted.
     """
     if mesh_errors is None:
         mesh_errors = [np.zeros_like(target.trial.points) for target in targets]
@@ -185,7 +187,7 @@ def build_estimate(
 
 @dataclass(frozen=True)
 class _Comparison:
-    """Strings before and after an estimation, compared with the trials.
+    """Comparison of the strings before and after an estimation with the trials.
 
     Parameters
     ----------
@@ -195,7 +197,7 @@ class _Comparison:
         Root mean square distance of the points, and of the tip, before and after,
         (2,) [m].
     last_misfit
-        Where the last trial's tip is off after the estimation.
+        Misfit of the last trial's tip after the estimation.
     """
 
     matching: pd.DataFrame
@@ -207,9 +209,9 @@ class _Comparison:
 def _compare_with_trials(
     targets: Sequence[MatchingTarget], pair: np.ndarray, last_mesh_error: np.ndarray
 ) -> _Comparison:
-    """Simulate the values before and after, (2, P), in each trial, and compare.
+    """Simulate each trial with the values before and after, (2, P), and compare.
 
-    last_mesh_error: that was added to the points of the last trial, (N, 2) [m].
+    last_mesh_error: mesh error added to the points of the last trial, (N, 2) [m].
     """
     frames = []
     squares = []
@@ -221,7 +223,7 @@ def _compare_with_trials(
         columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
         frames.append(pd.DataFrame(columns))
         squares.append([trial.mean_square_distances(points) for points in simulated])
-    # of the last trial
+
     last_misfit = tabulate_misfit(trial, simulated[1], last_mesh_error)
     rms, tip_rms = np.sqrt(np.mean(squares, axis=0)).T
     matching = pd.concat(frames, ignore_index=True)
@@ -231,9 +233,9 @@ def _compare_with_trials(
 def tabulate_misfit(
     trial: PreparedTrial, simulated: np.ndarray, mesh_error: np.ndarray
 ) -> pd.DataFrame:
-    """Tabulate how far simulated points (N, 2) [m] leave the tip off in a trial.
+    """Tabulate the misfit of the tip with simulated points (N, 2) [m] of a trial.
 
-    mesh_error: that was added to the points of the trial, (N, 2) [m].
+    mesh_error: mesh error added to the points of the trial, (N, 2) [m].
     """
     misfit = trial.points - mesh_error - simulated  # (N, 2)
     # the point nearest the tip in each frame
@@ -261,8 +263,8 @@ def insensitive_parameters(
 ) -> Interval:
     """Find the parameters on which E does not depend at the best candidate.
 
-    Each parameter is moved through its range, the others held. No parameter is called
-    determined: a search narrows by itself, and a better string may be elsewhere.
+    Each parameter is varied over its range with the others fixed. No parameter is
+    called determined, because a better string may exist elsewhere.
     """
     parameters = targets[0].trial.model.parameters
     best, count = search.best, len(search.best)
@@ -281,15 +283,15 @@ def insensitive_parameters(
         within_range(best, unknown, unknown),
         "Near the best string found, E depends on every parameter.",
     )
-    sentence += " A search on E cannot say how sure the others are; least squares can."
+    sentence += " A search on E gives no intervals; least squares does."
     return Interval(unknown, unknown, np.zeros(count, dtype=bool), sentence)
 
 
 def within_range(chi: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Find which exponents (P,) are not at an end of the range.
 
-    One near an end is not at it if its interval, from low to high, ends before. Where
-    no interval is known, the ends are NaN.
+    An exponent near an end is not at it if its interval from `low` to `high` excludes
+    the end. Unknown intervals are NaN.
     """
     is_far = (chi > BOUND_TOLERANCE) & (chi < 1 - BOUND_TOLERANCE)
     ends_before = (low > 0) & (high < 1)
@@ -305,7 +307,7 @@ def describe_undetermined(
     """Name the parameters that the data cannot determine; `clear` if there are none.
 
     is_narrow, is_inside: (P,), whether only values near the best one fit, and whether
-    that is within the range and not at its end.
+    the best one is not at an end of its range.
     """
     if (is_narrow & is_inside).all():
         return clear
@@ -328,7 +330,7 @@ def describe_correlated(
 ) -> str:
     """Name the pairs of parameters that the data determine only in combination.
 
-    correlation: (P, P). At least one of a pair is not determined by itself.
+    correlation: (P, P). In each pair at least one parameter is undetermined alone.
     """
     names = [parameter_label(parameter) for parameter in parameters]
     pairs = []
@@ -340,7 +342,7 @@ def describe_correlated(
 
 
 def parameter_label(parameter: Parameter) -> str:
-    """Join a parameter's name and its symbol in the paper, if it has one."""
+    """Return a parameter's name and, if it has one, its symbol in the paper."""
     name, symbol = parameter.name, parameter.symbol
     return f"{name} ({symbol})" if symbol else name
 
@@ -351,8 +353,8 @@ def describe_bad_fit(rate: float, rms: float, length: float) -> str:
         return ""
     return (
         f"The model does not explain this data (E = {rate:.2f}, {rms * 1e3:.0f} mm "
-        "between the simulated string and the measured one): its parameters mean "
-        "little."
+        "between the simulated string and the measured one): do not trust its "
+        "parameters."
     )
 
 
@@ -380,6 +382,6 @@ def _parameter_table(
 def _value_columns(
     parameters: Sequence[Parameter], chi: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Compute the values at exponents (C, P) by parameter."""
+    """Return the values at exponents (C, P) by parameter name."""
     values = parameter_values(parameters, chi)
     return {p.name: values[:, i] for i, p in enumerate(parameters)}

@@ -1,4 +1,4 @@
-"""One estimation of a run, by the method that its settings name."""
+"""Run the stage estimate."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from stringcast.stages.spec import StageCall
 
 
 def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimate:
-    """Estimate from trials, cut where their string touches an obstacle.
+    """Estimate from trials until their string touches an obstacle.
 
-    estimate: the last one, where the search starts.
+    estimate: the last estimate, where the search starts.
     """
     obstacles = call.setup.obstacles
     observations = [trim_at_contact(trial, obstacles) for trial in trials.observations]
@@ -20,7 +20,7 @@ def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimat
         observations,
         estimate,
         seed=call.seed,
-        cast_number=max(call.number, 1),  # a look at the string is none
+        cast_number=max(call.number, 1),  # a look has number 0
         progress=call.progress,
     )
     return result

@@ -1,4 +1,4 @@
-"""Trials cut where their string touches an obstacle, which the model does not know."""
+"""Cut trials where their string touches an obstacle, which is not in the model."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from stringcast.stages.string_places import (
     track_places,
 )
 
-CONTACT_MARGIN_M = 0.01  # of an obstacle, within which a string may be touching it
-MIN_FRAMES = 3  # worth keeping
-SAMPLED_PLACES = 40  # along the string, where frames were measured at different ones
+CONTACT_MARGIN_M = 0.01  # distance from an obstacle that counts as contact
+MIN_FRAMES = 3  # before a contact, for a trial to be cut
+SAMPLED_PLACES = 40  # along the string, if frames have different ones
 
 
 def trim_at_contact(observation: Observation, obstacles: Sequence[Box]) -> Observation:
     """Cut a trial where its string first comes near an obstacle.
 
-    Both the string's line and each point's path count. A trial that is near from its
-    first frames on stays whole, as does one of which no point was read.
+    Both the string's line and each point's path count. A trial with contact in its
+    first frames or without points is returned whole.
     """
     points = observation.valid_points
     if not obstacles or points.empty:
@@ -45,7 +45,7 @@ def trim_at_contact(observation: Observation, obstacles: Sequence[Box]) -> Obser
 
 
 def _string_lines(points: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Find where the same places are in all frames.
+    """Return the positions of the same places in all frames.
 
     Returns times (F,) [s] and lines (F, S, 2) [m], NaN where a place was not seen.
     """

@@ -1,7 +1,4 @@
-"""Matching rate and estimation.
-
-The equations are implemented literally, and known parameters are recovered.
-"""
+"""The matching rate is that of the paper, and known parameters are recovered."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -38,7 +35,7 @@ from stringcast.stages.model.string import String
 from tests.observations import grasp_table, observe_points
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
-# implicit steps, of which few are enough
+# implicit steps allow large time steps
 STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 TRUTH = ORDINARY | {
     "axial_stiffness": 9e4,
@@ -49,8 +46,8 @@ TRUTH = ORDINARY | {
 }
 
 
-def observed(seed, noise=7e-4, name="t01", seconds=1.0):
-    """Simulate a swing of a known string, seen as points with noise."""
+def simulate_swing(seed, noise=7e-4, name="t01", seconds=1.0):
+    """Simulate a swing of a known string, with noise on its points."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, seconds, 0.005)
     a, b, c = rng.uniform(0.5, 1.5, 3)
@@ -70,9 +67,9 @@ def observed(seed, noise=7e-4, name="t01", seconds=1.0):
     return observe_points(name, t[::2], STRING.arc_lengths(), seen, noise, grasp=grasp)
 
 
-def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, camera):
+def test_misfit_table_has_tip_mesh_error_and_hand(arm, camera):
     model = Model(STRING, arm, camera)
-    seen = observed(3, noise=1e-9)
+    seen = simulate_swing(3, noise=1e-9)
     points = seen.points.assign(x=seen.points["x"] + 0.05 * seen.points["s"])
     trial = prepare_trial(model, replace(seen, points=points))
     mesh_error = np.full((len(points), 2), (0.0, 0.01))
@@ -91,9 +88,9 @@ def test_an_estimate_tells_how_far_it_leaves_the_tip_off_in_the_last_trial(arm, 
     )
 
 
-def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypatch):
+def test_tables_of_an_estimate_need_one_simulation(arm, camera, monkeypatch):
     model = Model(STRING, arm, camera)
-    targets = matching_targets(model, [observed(3)], MATCHING)
+    targets = matching_targets(model, [simulate_swing(3)], MATCHING)
     chi = model.exponents_of_values(TRUTH)
     search = Candidates("none", chi[None], np.ones(1))
     interval = Interval(chi, chi, np.ones(len(chi), bool), "")
@@ -105,53 +102,49 @@ def test_an_estimate_simulates_a_trial_once_for_its_tables(arm, camera, monkeypa
         return simulate_trial(self, values)
 
     monkeypatch.setattr(PreparedTrial, "simulate", count_strings)
-    made = build_estimate(targets, 0.95 * chi, chi, search, interval, chi[None])
+    result = build_estimate(targets, 0.95 * chi, chi, search, interval, chi[None])
     assert counts == [2]  # before and after
-    assert made.fit["rms_after"][0] == pytest.approx(np.sqrt(2) * 7e-4, rel=0.05)
-    assert made.fit["rms_before"][0] > 0.01
-    assert made.mesh_error_m == 0.0
-    misfit = made.misfit[["x", "y"]].to_numpy()
+    assert result.fit["rms_after"][0] == pytest.approx(np.sqrt(2) * 7e-4, rel=0.05)
+    assert result.fit["rms_before"][0] > 0.01
+    assert result.mesh_error_m == 0.0
+    misfit = result.misfit[["x", "y"]].to_numpy()
     assert np.std(misfit) == pytest.approx(7e-4, rel=0.2)
 
 
-def test_matching_rate_is_equations_5_and_6():
+def test_matching_rate_is_that_of_equations_5_and_6():
     rng = np.random.default_rng(0)
     maps = rng.integers(0, 8, (4, 30, 40)).astype(np.uint8)
     pixels = rng.uniform(-5, 45, (3, 4, 6, 2))
     tips = rng.uniform(0, 30, (4, 2))
     weights = (1 + np.arange(6) * 0.25) * np.ones((4, 1))
     weights[3, :2] = 0  # points that a frame does not show
-    literal = np.zeros((3, 4))
+    expected = np.zeros((3, 4))
     for c, f in np.ndindex(3, 4):
         p = np.zeros(6)
         for i in range(5):
             u, v = np.floor(pixels[c, f, i] + 0.5).astype(int)
             p[i] = maps[f, v, u] if 0 <= u < 40 and 0 <= v < 30 else 0
         p[5] = max(7 - np.linalg.norm(pixels[c, f, 5] - tips[f]) // 3.0, 0)
-        literal[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
+        expected[c, f] = (p * weights[f]).sum() / (7 * weights[f].sum())
     windows = np.array(
         [[f * maps[f].size, 0, 0, *maps[f].shape] for f in range(len(maps))]
     )
     found = frame_matching_rates(pixels, maps.ravel(), windows, tips, 3.0, 7.0, weights)
-    np.testing.assert_allclose(found, literal, rtol=1e-12)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camera):
-    """Targets are the dilated images, and the weights those of Equation 6.
-
-    w_i = 1 + (i - 1) delta_w, with maps dilated by step_px at a time: E of a candidate,
-    word for word.
-    """
+def test_targets_hold_dilated_images_and_weights_of_equation_6(arm, camera):
+    """E of a candidate is computed by hand from images dilated by step_px and weights."""
     model, matching = Model(STRING, arm, camera), Matching(6, 2, 3.0, 0.5)
-    seen = observed(1)
-    (goal,) = matching_targets(model, [seen], matching)
-    np.testing.assert_allclose(goal.weights[7], 1 + 0.5 * np.arange(10))
+    seen = simulate_swing(1)
+    (target,) = matching_targets(model, [seen], matching)
+    np.testing.assert_allclose(target.weights[7], 1 + 0.5 * np.arange(10))
     t = np.unique(seen.points["t"])[7]
     line = camera.pixels(seen.points[seen.points["t"] == t][["x", "y"]].to_numpy())
     mask = rasterise(line, (camera.height, camera.width), 3)
-    begin, top, left, height, width = goal.windows[7]
+    begin, top, left, height, width = target.windows[7]
     whole = np.zeros(mask.shape, np.uint8)
-    whole[top : top + height, left : left + width] = goal.scores[begin:][
+    whole[top : top + height, left : left + width] = target.scores[begin:][
         : height * width
     ].reshape(height, width)
     first, leftmost, scores = pixel_scores(mask, 6, 2)
@@ -160,9 +153,9 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
         whole[top : top + height, left : left + width], scores
     )
     assert set(np.unique(whole)) == set(range(7))
-    rates = goal.rates_by_frame(STRING.start_values()[None])
+    rates = target.rates_by_frame(STRING.start_values()[None])
     strings = camera.pixels(
-        next(goal.trial.simulate(STRING.start_values()[None]))[1].points[0, 7]
+        next(target.trial.simulate(STRING.start_values()[None]))[1].points[0, 7]
     )
     inside = [whole[int(v + 0.5), int(u + 0.5)] for u, v in strings[:9]]
     tip = max(6 - np.linalg.norm(strings[9] - line[9]) // 3.0, 0)
@@ -173,26 +166,26 @@ def test_targets_are_the_dilated_images_and_the_weights_of_equation_6(arm, camer
     )
 
 
-def test_the_next_cast_begins_where_the_last_one_ended(arm, camera):
+def test_search_starts_from_the_last_estimate(arm, camera):
     model = Model(STRING, arm, camera)
     settings = {"candidates": 64, "matching": MATCHING}
-    walk = {"chi_0": 0.5, "beta": 0.99, "batch": 16}
+    search = {"chi_0": 0.5, "beta": 0.99, "batch": 16}
     first = random_search.estimate(
-        model, [observed(1)], None, seed=2, cast_number=1, **settings, **walk
+        model, [simulate_swing(1)], None, seed=2, cast_number=1, **settings, **search
     )
     second = random_search.estimate(
-        model, [observed(2)], first, seed=3, cast_number=2, **settings, **walk
+        model, [simulate_swing(2)], first, seed=3, cast_number=2, **settings, **search
     )
-    begun = second.candidates.iloc[0]
-    assert {name: begun[name] for name in STRING.names} == pytest.approx(
+    start = second.candidates.iloc[0]
+    assert {name: start[name] for name in STRING.names} == pytest.approx(
         first.values(), rel=1e-9
     )
     assert second.fit["before"].iloc[0] == pytest.approx(
-        begun["matching_rate"], abs=1e-12
+        start["matching_rate"], abs=1e-12
     )
 
 
-def test_cma_es_looks_closer_with_every_cast(arm, camera):
+def test_cma_es_step_falls_with_the_number_of_casts(arm, camera):
     model = Model(STRING, arm, camera)
     widths = []
     for cast_number in (1, 4):
@@ -203,7 +196,12 @@ def test_cma_es_looks_closer_with_every_cast(arm, camera):
             "matching": MATCHING,
         }
         found = cma_es.estimate(
-            model, [observed(1)], None, seed=2, cast_number=cast_number, **settings
+            model,
+            [simulate_swing(1)],
+            None,
+            seed=2,
+            cast_number=cast_number,
+            **settings,
         )
         chi = np.stack(
             [p.chi(found.candidates[p.name].to_numpy()[1:]) for p in STRING.parameters],
@@ -213,11 +211,8 @@ def test_cma_es_looks_closer_with_every_cast(arm, camera):
     assert widths[0] / widths[1] == pytest.approx(4, rel=0.1)
 
 
-def test_candidates_narrow_as_equation_4_says(arm, camera):
-    """Candidates narrow as Equation 4 says.
-
-    They stay within chi_0 / M beta^m of the best so far, and reach near that bound.
-    """
+def test_candidates_narrow_as_in_equation_4(arm, camera):
+    """Candidates stay within chi_0 / M beta^m of the best so far, and come near it."""
     settings = {
         "candidates": 400,
         "chi_0": 0.5,
@@ -227,7 +222,7 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
     }
     found = random_search.estimate(
         Model(STRING, arm, camera),
-        [observed(1)],
+        [simulate_swing(1)],
         None,
         seed=2,
         cast_number=2,
@@ -240,10 +235,10 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
     best = chi[0]
     shares = []
     for m in range(1, len(table)):
-        reach = 0.5 / 2 * 0.99**m
+        bound = 0.5 / 2 * 0.99**m
         change = np.abs(chi[m] - best)
-        assert change.max() <= reach * (1 + 1e-6) + 1e-9
-        shares.append(change.max() / reach)
+        assert change.max() <= bound * (1 + 1e-6) + 1e-9
+        shares.append(change.max() / bound)
         best = chi[m] if table["accepted"][m] else best
     assert 0.85 < np.mean(shares) < 1
     assert table["matching_rate"].max() == pytest.approx(
@@ -251,7 +246,7 @@ def test_candidates_narrow_as_equation_4_says(arm, camera):
     )
 
 
-def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
+def test_estimate_does_not_depend_on_the_number_of_threads(arm, camera):
     settings = {
         "candidates": 200,
         "chi_0": 0.6,
@@ -263,7 +258,7 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
     def run():
         return random_search.estimate(
             Model(STRING, arm, camera),
-            [observed(1)],
+            [simulate_swing(1)],
             None,
             seed=5,
             cast_number=1,
@@ -277,7 +272,7 @@ def test_estimation_is_bit_identical_whatever_the_threads(arm, camera):
     pd.testing.assert_frame_equal(both.candidates, one.candidates, check_exact=True)
 
 
-def test_cma_es_brings_the_string_to_the_points(arm, camera):
+def test_cma_es_reduces_the_residual(arm, camera):
     settings = {
         "candidates": 2000,
         "sigma": 0.3,
@@ -286,7 +281,7 @@ def test_cma_es_brings_the_string_to_the_points(arm, camera):
     }
     found = cma_es.estimate(
         Model(STRING, arm, camera),
-        [observed(1)],
+        [simulate_swing(1)],
         None,
         seed=0,
         cast_number=1,
@@ -297,19 +292,17 @@ def test_cma_es_brings_the_string_to_the_points(arm, camera):
     assert found.fit["rms_after"].iloc[0] < 0.2 * found.fit["rms_before"].iloc[0]
 
 
-def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camera):
-    """Least squares recovers known parameters within its intervals.
+def test_least_squares_recovers_parameters_within_its_intervals(arm, camera):
+    """Every fit reaches the noise, and the intervals contain the truth.
 
-    Every fit reaches the noise floor, and intervals hold the truth. Over 40 seeds from
-    starts near the truth, 94.7 % of 320 did. A wrong covariance, or a fit that stops
-    before its minimum, loses more of the 40 here.
+    Over 40 seeds from starts near the truth, 94.7 % of 320 intervals did.
     """
     settings = {"starts": 2, "screening": 64, "iterations": 20, "matching": MATCHING}
     inside, determined = [], []
     for seed in range(5):
         found = least_squares.estimate(
             Model(STRING, arm, camera),
-            [observed(seed, seconds=0.7)],
+            [simulate_swing(seed, seconds=0.7)],
             None,
             seed=seed,
             cast_number=1,
@@ -319,17 +312,17 @@ def test_least_squares_recovers_known_parameters_within_its_intervals(arm, camer
         assert found.fit["rms_after"].iloc[0] == pytest.approx(
             7e-4 * np.sqrt(2), rel=0.05
         )
-        sure = table[table["determined"]]
-        determined.append(len(sure))
+        known = table[table["determined"]]
+        determined.append(len(known))
         inside += [
-            (row["low"] <= TRUTH[name] <= row["high"]) for name, row in sure.iterrows()
+            (row["low"] <= TRUTH[name] <= row["high"]) for name, row in known.iterrows()
         ]
     assert np.mean(determined) >= 6
     assert np.mean(inside) >= 0.85
 
 
-def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypatch):
-    """After a slow trial, a fit of a cast from nothing left six times as much."""
+def test_earlier_estimate_is_refined_on_whole_trials(arm, camera, monkeypatch):
+    """Without it, a cast after a slow trial had six times the residual."""
     model, starts = Model(STRING, arm, camera), []
 
     class SearchedError(Exception):
@@ -344,19 +337,16 @@ def test_an_earlier_estimate_is_fitted_to_the_whole_trials(arm, camera, monkeypa
     for previous in (None, SimpleNamespace(values=lambda: TRUTH)):
         with pytest.raises(SearchedError):
             least_squares.estimate(
-                model, [observed(0)], previous, seed=0, cast_number=1, **settings
+                model, [simulate_swing(0)], previous, seed=0, cast_number=1, **settings
             )
     assert starts[0] is None
     true = model.exponents_of_values(TRUTH)
     np.testing.assert_allclose(starts[1], true)
 
 
-def test_what_the_data_cannot_determine_is_said(arm, camera):
-    """A parameter that the data cannot determine is reported.
-
-    A string at rest says nothing of damping or air.
-    """
-    still = observed(1)
+def test_undetermined_parameters_are_reported(arm, camera):
+    """A string at rest does not determine damping and drag."""
+    still = simulate_swing(1)
     start = still.grasp.iloc[:1]
     rest = pd.concat([start] * 100, ignore_index=True).assign(t=np.arange(100) * 0.005)
     t = np.arange(50) * 0.01
@@ -365,24 +355,24 @@ def test_what_the_data_cannot_determine_is_said(arm, camera):
     )
     true = simulate(STRING, hand, STRING.values(TRUTH)[None], t).points[0]
     seen = true + 7e-4 * np.random.default_rng(0).standard_normal(true.shape)
-    lazy = observe_points("rest", t, STRING.arc_lengths(), seen, 7e-4, grasp=rest)
+    resting = observe_points("rest", t, STRING.arc_lengths(), seen, 7e-4, grasp=rest)
     settings = {"starts": 4, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
-        Model(STRING, arm, camera), [lazy], None, seed=0, cast_number=1, **settings
+        Model(STRING, arm, camera), [resting], None, seed=0, cast_number=1, **settings
     )
-    loose = set(found.parameters["symbol"][~found.parameters["determined"]])
-    assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= loose
+    undetermined = set(found.parameters["symbol"][~found.parameters["determined"]])
+    assert {"c_s", "c_h", "C_c1", "C_c2", "c_ph"} <= undetermined
     assert "c_ph" in found.fit["sentence"].iloc[0]
 
 
-def test_a_parameter_at_the_end_of_its_range_is_told_from_one_that_is_loose():
+def test_parameters_at_the_end_of_a_range_are_named_separately():
     parameters = STRING.parameters[:3]
     names = [parameter.name for parameter in parameters]
     is_narrow, is_inside = np.array([True, False, True]), np.array([True, True, False])
     sentence = describe_undetermined(parameters, is_narrow, is_inside, "All known.")
-    loose, at_end = sentence.split(". ")
-    assert names[1] in loose
-    assert "other values fit as well" in loose
+    undetermined, at_end = sentence.split(". ")
+    assert names[1] in undetermined
+    assert "other values fit as well" in undetermined
     assert names[2] in at_end
     assert "an end of its range" in at_end
     assert names[0] not in sentence
@@ -390,7 +380,7 @@ def test_a_parameter_at_the_end_of_its_range_is_told_from_one_that_is_loose():
     assert describe_undetermined(parameters, every, every, "All known.") == "All known."
 
 
-def test_a_parameter_near_an_end_of_its_range_is_not_at_it_if_its_interval_ends_before():
+def test_parameter_is_not_at_an_end_that_its_interval_excludes():
     chi = np.array([0.995, 0.995, 0.995, 0.5])
     half_width = np.array([0.002, 0.02, np.nan, np.nan])
     low, high = np.clip([chi - half_width, chi + half_width], 0, 1)
@@ -398,5 +388,5 @@ def test_a_parameter_near_an_end_of_its_range_is_not_at_it_if_its_interval_ends_
 
 
 def test_points_between_mass_points_are_interpolated(arm, camera):
-    ready = prepare_trial(Model(STRING, arm, camera), observed(1, noise=0.0))
+    ready = prepare_trial(Model(STRING, arm, camera), simulate_swing(1, noise=0.0))
     assert rms_distance(ready, STRING.values(TRUTH)) < 1e-9

@@ -1,8 +1,4 @@
-"""Effects in estimation and generation.
-
-Present effects are found, known ones are added from elsewhere, and absent ones cost
-nothing.
-"""
+"""Effects in estimation and generation."""
 
 from dataclasses import replace
 
@@ -30,7 +26,7 @@ from tests.observations import grasp_table, observe_points
 from tests.tether import TETHER
 
 MATCHING = Matching(20, 2, 3.0, 0.25)
-# implicit steps, of which few are enough
+# implicit steps allow large time steps
 STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 T = np.arange(0, 0.7, 0.005)
 POSE = np.stack(
@@ -50,8 +46,8 @@ TRUTH = ORDINARY | {
 }
 
 
-def observed(model, size, noise=7e-4):
-    """Simulate a swing with noise, as the camera of a model reports it."""
+def simulate_swing(model, size, noise=7e-4):
+    """Simulate a swing with noise, as reported by the camera of a model."""
     t = T[::4] + 0.0013
     seen = model.simulate_observation(
         resample_hand_motion(T, POSE), model.values(TRUTH | size)[None], t
@@ -61,8 +57,8 @@ def observed(model, size, noise=7e-4):
     return observe_points("t01", t, STRING.arc_lengths(), seen, noise, grasp=grasp)
 
 
-def recovered(model, observation):
-    """Return the estimate by name."""
+def estimate_parameters(model, observation):
+    """Return the estimated parameters by name, and the summary."""
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
     found = least_squares.estimate(
         model, [observation], None, seed=0, cast_number=1, **settings
@@ -70,12 +66,8 @@ def recovered(model, observation):
     return found.parameters.set_index("name"), found.fit.iloc[0]
 
 
-def test_effects_of_three_worlds_are_recovered_together(arm, camera):
-    """Effects of three kinds are recovered together.
-
-    A weight at the tip, clocks 8 ms apart and a rolled camera, at 0.7 mm of noise, are
-    found within their intervals or 3 %.
-    """
+def test_effects_on_string_clock_and_camera_are_recovered_together(arm, camera):
+    """Tip mass, clock offset of 8 ms and camera rotation are recovered to 3 %."""
     size = {
         "tip_mass.ratio": 0.2,
         "time_offset.offset": 0.008,
@@ -83,51 +75,43 @@ def test_effects_of_three_worlds_are_recovered_together(arm, camera):
     }
     plain = Model(STRING, arm, camera)
     model = plain.with_effects(*find_effects([name.split(".")[0] for name in size]))
-    observation = observed(model, size)
-    table, fit = recovered(model, observation)
+    observation = simulate_swing(model, size)
+    table, fit = estimate_parameters(model, observation)
     assert fit["rms_after"] == pytest.approx(7e-4 * np.sqrt(2), rel=0.05)
     for name, value in size.items():
         assert table.loc[name, "determined"], name
         assert table.loc[name, "value"] == pytest.approx(value, rel=0.03)
-    _, without = recovered(plain, observation)
+    _, without = estimate_parameters(plain, observation)
     assert without["rms_after"] > 3 * fit["rms_after"]
 
 
-def test_joints_that_lag_arrive_though_the_log_ends_with_the_motion(arm, camera):
-    """Joints that lag arrive at their goal, although the log ends with the motion.
-
-    The film is longer than the log. Otherwise the arm would stop short for ever, by 2
-    mm here.
-    """
+def test_lagging_joints_reach_their_goal_after_the_end_of_the_log(arm, camera):
+    """The film is longer than the log. Otherwise the arm would stop 2 mm short."""
     t = T[T < 0.3]
     braking = np.array([0.3, 0.5, 0.2]) * (1 - (t / t[-1] - 1) ** 2)[:, None]
     log = pd.DataFrame(
         {"t": t, "q1": braking[:, 0], "q2": braking[:, 1], "q3": braking[:, 2]}
     )
-    points = observed(Model(STRING, arm, camera), {}).points
+    points = simulate_swing(Model(STRING, arm, camera), {}).points
     short = Observation("t01", points, READINGS.empty(), MASKS.empty(), arm=log)
     ready = prepare_trial(Model(STRING, arm, camera), short)
     acts = [(effects_by_name()["arm_lag"], {"time_constant": np.full((1, 1, 1), 0.02)})]
-    there = arm.grasp_pose(braking[-1])[:2]
+    goal = arm.grasp_pose(braking[-1])[:2]
     stops = (
         resample_joint_motion(t, braking).actual_hand_motion(arm, acts).pose[0, -1, :2]
     )
     arrives = ready.motion.actual_hand_motion(arm, acts)
     assert arrives.end >= ready.times[-1]
-    assert np.linalg.norm(stops - there) > 2e-3
-    assert np.linalg.norm(arrives.pose[0, -1, :2] - there) < 1e-5
+    assert np.linalg.norm(stops - goal) > 2e-3
+    assert np.linalg.norm(arrives.pose[0, -1, :2] - goal) < 1e-5
 
 
-def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, camera):
-    """A known effect is refined from its known value.
-
-    A dry friction anywhere in its range would need a hundred times as many steps as one
-    near its known value.
-    """
+def test_known_value_of_an_effect_is_refined_but_not_drawn(arm, camera):
+    """Elsewhere in its range, dry friction would need a hundred times as many steps."""
     heavy = Model(STRING, arm, camera).with_effects(*find_effects(["tip_mass"]))
     known = replace(heavy, start_values={"tip_mass.ratio": 0.17})
     settings = {"starts": 2, "screening": 128, "iterations": 16, "matching": MATCHING}
-    seen = observed(heavy, {"tip_mass.ratio": 0.2})
+    seen = simulate_swing(heavy, {"tip_mass.ratio": 0.2})
     found = least_squares.estimate(
         known, [seen], None, seed=0, cast_number=1, **settings
     )
@@ -137,9 +121,7 @@ def test_what_is_known_of_an_effect_is_refined_and_not_sought_all_over(arm, came
     assert found.values()["tip_mass.ratio"] == pytest.approx(0.2, rel=0.03)
 
 
-def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
-    effects_folder, arm, camera
-):
+def test_effect_in_a_plugin_folder_needs_no_other_file(effects_folder, arm, camera):
     (effects_folder / "tether.py").write_text(TETHER)
     tether = effects_by_name()["tether"]
     assert tether.describe({"strength": 3.0}).startswith("a spring pulls with 3.0")
@@ -152,11 +134,13 @@ def test_an_effect_in_a_folder_of_its_own_needs_no_other_file(
         resample_hand_motion(T, POSE), values, t
     ).points
     assert (strong[:, -1, 1] - weak[:, -1, 1]).max() > 0.01
-    table, _ = recovered(model, observed(model, {"tether.strength": 5.0}))
+    table, _ = estimate_parameters(
+        model, simulate_swing(model, {"tether.strength": 5.0})
+    )
     assert table.loc["tether.strength", "value"] == pytest.approx(5.0, rel=0.03)
 
 
-def test_files_that_are_no_effect_are_refused(effects_folder, monkeypatch):
+def test_files_without_a_valid_effect_are_refused(effects_folder, monkeypatch):
     (effects_folder / "compass.py").write_text(TETHER)
     with pytest.raises(
         ValueError, match=r"compass.py: it must hold one effect, with name = 'compass'"
@@ -177,7 +161,7 @@ def test_files_that_are_no_effect_are_refused(effects_folder, monkeypatch):
         effects_by_name()
 
 
-def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
+def test_model_without_effects_is_exactly_the_string(arm, camera):
     rng = np.random.default_rng(0)
     values = np.array([p.value(rng.random(20)) for p in STRING.parameters]).T
     model, t = Model(STRING, arm, camera), np.linspace(0, 1.1, 40)
@@ -195,18 +179,15 @@ def test_without_effects_the_model_is_the_string_to_the_bit(arm, camera):
         found = model.simulate_observation(motion, values, t)
         np.testing.assert_array_equal(found.points, expected.points)
         np.testing.assert_array_equal(found.finite, expected.finite)
-    ready = prepare_trial(model, observed(model, {}))
+    ready = prepare_trial(model, simulate_swing(model, {}))
     (_, motion), *_ = ready.simulate(values)
     np.testing.assert_array_equal(
         motion.points, simulate(STRING, hand, values, ready.times).points
     )
 
 
-def test_generation_knows_a_hand_that_lags(arm, camera):
-    """Generation uses the model with the lagging hand.
-
-    The motion hits in the model with the lag, and not in the one without.
-    """
+def test_generation_includes_the_lag_of_the_hand(arm, camera):
+    """The motion hits in the model with the lag, and misses in the one without."""
     model = Model(STRING, arm, camera).with_effects(
         *find_effects(["arm_lag", "tip_mass"])
     )
@@ -230,7 +211,7 @@ def test_generation_knows_a_hand_that_lags(arm, camera):
     assert not box.is_crossed_by(tips[1, :-1], tips[1, 1:]).any()
 
 
-def test_a_wrong_name_in_the_settings_is_answered(arm, camera):
+def test_wrong_effect_name_is_refused_with_a_suggestion(arm, camera):
     plain = Model(STRING, arm, camera)
     with pytest.raises(
         UserError,

@@ -1,7 +1,4 @@
-"""Trials of a string whose hinges stick and slip.
-
-It was released after a handling that was not recorded.
-"""
+"""Released strings whose hinges stick and slip, with unknown earlier bending."""
 
 from dataclasses import replace
 
@@ -53,17 +50,17 @@ def model(arm, camera):
     return Model(STRING, arm, camera)
 
 
-def released(aside, let_back, seed):
-    """Make a trial of a string released at rest where it was bent aside.
+def simulate_release(deflection, reversal, seed):
+    """Simulate a trial of a string released at rest from a deflection [rad].
 
-    It was bent by a number of radians, and its hinges were let back by a share of that.
+    reversal: share of the deflection by which its hinges were bent back before.
     """
     start = StringState(
         0.0,
         MIDDLE,
-        -np.pi / 2 + aside * np.sin(np.pi / 2 * MIDDLE / LENGTH),
+        -np.pi / 2 + deflection * np.sin(np.pi / 2 * MIDDLE / LENGTH),
         0 * MIDDLE,
-        let_back,
+        reversal,
     )
     hand = resample_hand_motion(T, GRASP)
     true = simulate(STRING, hand, STRING.values(CABLE)[None], T, start).points[0]
@@ -75,18 +72,18 @@ def released(aside, let_back, seed):
     )
 
 
-def test_hinges_let_back_push_the_other_way():
-    """Hinges that are let back push the other way.
+def test_reversal_of_hinges_reverses_their_friction_moment():
+    """Without reversal the hinges push back with their full friction moment.
 
-    Pulled far beyond their slip they push home with all their cap. Let back half of the
-    way they push with nothing, and let back all of the way they push away from home.
-    The tip's displacement in the first 0.15 s shows it, in equal steps.
+    With a reversal of one half the moment is zero, and with a full reversal opposite.
+    The tip's displacement in the first 0.15 s falls in equal steps.
     """
     hand = resample_hand_motion(T[:10], GRASP[:10])
     angle = -np.pi / 2 + 0.6 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
     values = STRING.values(CABLE | {"maxwell_slip.slip": 1.0})[None]
     starts = [
-        StringState(0.0, MIDDLE, angle, 0 * MIDDLE, back) for back in (0.0, 0.5, 1.0)
+        StringState(0.0, MIDDLE, angle, 0 * MIDDLE, reversal)
+        for reversal in (0.0, 0.5, 1.0)
     ]
     pushed, free, pulled = (
         simulate(STRING, hand, values, T[:10], start).tip[0, -1, 0] for start in starts
@@ -95,23 +92,23 @@ def test_hinges_let_back_push_the_other_way():
     assert pulled - free == pytest.approx(free - pushed, rel=0.2)
 
 
-@pytest.mark.parametrize("let_back", [0.0, 0.6])
-def test_what_the_hinges_held_is_found_from_the_motion(model, let_back):
-    ready = prepare_trial(model, released(0.5, let_back, 1))
+@pytest.mark.parametrize("reversal", [0.0, 0.6])
+def test_reversal_of_hinges_is_estimated_from_the_motion(model, reversal):
+    ready = prepare_trial(model, simulate_release(0.5, reversal, 1))
     found = refine_initial_state(ready, model.values(CABLE))
     assert rms_distance(found, model.values(CABLE)) < 1.1 * np.sqrt(2) * NOISE
     assert float(found.initial_state.memory_reversal) == pytest.approx(
-        let_back, abs=0.1
+        reversal, abs=0.1
     )
-    unaware = replace(
+    wrong = replace(
         found,
-        initial_state=replace(found.initial_state, memory_reversal=0.6 - let_back),
+        initial_state=replace(found.initial_state, memory_reversal=0.6 - reversal),
     )
-    assert rms_distance(unaware, model.values(CABLE)) > 3 * NOISE
+    assert rms_distance(wrong, model.values(CABLE)) > 3 * NOISE
 
 
-def test_it_is_one_more_thing_that_nobody_knows(model):
-    ready = prepare_trial(model, released(1.4, 0.6, 1))
+def test_reversal_is_a_further_parameter_of_the_initial_state(model):
+    ready = prepare_trial(model, simulate_release(1.4, 0.6, 1))
     assert len(initial_state_parameters(model.string)) == 13
     assert initial_mode_columns(ready, model.values(CABLE)).shape == (
         2 * len(ready.points),
@@ -119,17 +116,18 @@ def test_it_is_one_more_thing_that_nobody_knows(model):
     )
 
 
-def test_a_law_with_memory_is_recovered_within_its_intervals(model):
-    """A law with memory is recovered within its intervals.
+def test_hysteresis_is_recovered_within_its_intervals(model):
+    """The three trials have different reversals.
 
-    The three trials are each let back by another amount. Over ten such draws of noise
-    the intervals of cap and slip held the truth 19 times of 20. Those of all ten
-    parameters held it 86 times of 100, too few, because the uncertainty from initial
-    states is not counted in full.
+    Over ten draws of noise, the intervals of cap and slip contain the truth 19 times of
+    20. Those of all ten parameters contain it 86 times of 100, too few, because the
+    uncertainty of initial states is not included in full.
     """
     trials = [
-        released(aside, back, seed)
-        for seed, (aside, back) in enumerate([(1.4, 0.0), (0.7, 0.4), (-1.0, 0.8)])
+        simulate_release(deflection, reversal, seed)
+        for seed, (deflection, reversal) in enumerate(
+            [(1.4, 0.0), (0.7, 0.4), (-1.0, 0.8)]
+        )
     ]
     settings = {
         "starts": 2,

@@ -1,7 +1,4 @@
-"""The state of a string from noisy first frames.
-
-Estimation from trials that begin in motion uses it.
-"""
+"""Initial states of trials that start in motion, from noisy first frames."""
 
 from dataclasses import replace
 
@@ -44,7 +41,7 @@ NAMED = {
 }
 POSE = np.array([0.1, 0.2, -np.pi / 2])
 MIDDLE = (np.arange(300) + 0.5) / 1000  # arc lengths [m]
-# a released string, bent aside by 1.4 rad and turning as in its first mode
+# a released string, deflected by 1.4 rad and rotating as in its first mode
 SHAPE = POSE[2] + 1.4 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
 TURN = 8.0 * np.sin(np.pi / 2 * MIDDLE / LENGTH)
 PLACES = {
@@ -60,9 +57,9 @@ def model(arm, camera):
 
 
 def released(turn, places, fps, noise, seed=0, until=0.6, string=STRING):
-    """Release a string in SHAPE from a hand that holds still.
+    """Release a string in SHAPE from a hand at rest.
 
-    Returns points (F, M, 2) [m] with noise, and the tables.
+    Returns times (F,) [s] and points (F, M, 2) [m] with noise.
     """
     t = np.arange(0, until, 1 / fps)
     grasp = np.repeat(POSE[None], len(t), axis=0)
@@ -84,7 +81,7 @@ def observed(t, seen, places, **more):
 def recover_state(turn, where, fps, noise, seed=0, outlier=0.0):
     """Recover the state from the first frames.
 
-    Returns it with the mean errors of places and velocities of segments' ends.
+    Returns it with the mean errors of positions and velocities along the string.
     """
     places = PLACES[where]
     t, seen = released(turn, places, fps, noise, seed)
@@ -98,13 +95,15 @@ def recover_state(turn, where, fps, noise, seed=0, outlier=0.0):
     angle, rate = (
         np.interp(MIDDLE, state.s, each) for each in (state.angle, state.rate)
     )
-    true, close = (_moved(*each) for each in ((SHAPE, turn), (angle, rate)))
+    true, close = (
+        positions_and_velocities(*each) for each in ((SHAPE, turn), (angle, rate))
+    )
     return state, *(
         np.linalg.norm(a - b, axis=-1).mean() for a, b in zip(true, close, strict=True)
     )
 
 
-def _moved(angle, rate):
+def positions_and_velocities(angle, rate):
     along, across = (
         np.stack(each, axis=-1)
         for each in ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle)))
@@ -114,8 +113,7 @@ def _moved(angle, rate):
     ) / 1000
 
 
-# Largest errors measured over 6 seeds are in mm and m/s; the string's speed reaches 1.5
-# m/s
+# comments: largest errors over 6 seeds [mm], [m/s]; the string reaches 1.5 m/s
 @pytest.mark.parametrize(
     ("where", "fps", "noise", "place", "velocity"),
     [
@@ -125,11 +123,8 @@ def _moved(angle, rate):
         ("two", 30, 3e-3, 4e-3, 0.35),  # 3.8, 0.27
     ],
 )
-def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
-    """The first frames give the state.
-
-    A string released at rest is at rest to the last digit; one in motion is not.
-    """
+def test_first_frames_give_the_initial_state(where, fps, noise, place, velocity):
+    """A string released at rest gets a rate of exactly zero."""
     for seed in range(6):
         state, places, _ = recover_state(0 * TURN, where, fps, noise, seed)
         assert np.all(state.rate == 0.0)
@@ -140,24 +135,16 @@ def test_the_first_frames_give_the_state(where, fps, noise, place, velocity):
         assert velocities < velocity
 
 
-def test_an_outlier_in_the_first_frames_does_no_harm():
-    """An outlier in the first frames does no harm.
-
-    It is 60 mm off in the second frame. The errors are those without it: 0.4 mm, 0.10
-    m/s.
-    """
+def test_outlier_in_the_first_frames_is_ignored():
+    """An outlier of 60 mm leaves the errors at 0.4 mm and 0.10 m/s."""
     state, places, velocities = recover_state(TURN, "line", 200, 7e-4, outlier=0.06)
     assert state.rate[-1] > 2.0
     assert places < 0.6e-3
     assert velocities < 0.15
 
 
-def test_a_turn_counts_from_the_grasp():
-    """A turn counts from the grasp.
-
-    A string wound once round, and a hand that has turned before, keep their directions
-    continuous.
-    """
+def test_angles_are_continuous_from_the_grasp():
+    """The hand has turned once before, and the string winds around once."""
     pose = np.array([0.0, 0.0, 2 * np.pi + 0.3])
     angle = pose[2] + 7.0 * MIDDLE / LENGTH
     line = np.cumsum(np.stack([np.cos(angle), np.sin(angle)], axis=-1), axis=0) / 1000
@@ -174,7 +161,7 @@ def test_a_turn_counts_from_the_grasp():
     )
 
 
-def test_a_string_too_little_seen_is_refused(model):
+def test_initial_state_needs_enough_frames(model):
     t, seen = released(TURN, PLACES["two"], 200, 0.0, until=0.01)
     with pytest.raises(
         DataError,
@@ -188,13 +175,10 @@ def test_a_string_too_little_seen_is_refused(model):
     [("eleven", 200, 7e-4, 1.1), ("two", 30, 3e-3, 1.1)],
 )
 @pytest.mark.parametrize("turn", [0 * TURN, TURN])
-def test_the_motion_that_follows_corrects_the_state(
-    model, where, fps, noise, worst, turn
-):
-    """The motion that follows corrects the state.
+def test_later_motion_refines_the_initial_state(model, where, fps, noise, worst, turn):
+    """With the true parameters the residual falls to the noise.
 
-    With the true parameters the residual is noise. It falls from 2.9 to 1.0 mm, and
-    with two markers at 30 Hz from 15.8 to 3.9.
+    It falls from 2.9 to 1.0 mm, and with two markers at 30 Hz from 15.8 to 3.9 mm.
     """
     t, seen = released(turn, PLACES[where], fps, noise)
     trial = observed(t, seen, PLACES[where], starts_moving=True)
@@ -208,26 +192,22 @@ def test_the_motion_that_follows_corrects_the_state(
     )
 
 
-def test_a_state_stays_where_the_string_cannot_be_simulated(model):
-    """A state stays unchanged where the string cannot be simulated.
-
-    With parameters that tear the string, the effect of another initial state is
-    unknown.
-    """
+def test_state_is_unchanged_if_the_simulation_diverges(model):
+    """Slopes by the initial state are then zero."""
     t, seen = released(TURN, PLACES["two"], 30, 3e-3)
     ready = prepare_trial(model, observed(t, seen, PLACES["two"], starts_moving=True))
-    nowhere = model.values(NAMED) * np.nan
-    unchanged = refine_initial_state(ready, nowhere)
+    invalid_values = model.values(NAMED) * np.nan
+    unchanged = refine_initial_state(ready, invalid_values)
     assert np.array_equal(unchanged.initial_state.angle, ready.initial_state.angle)
     assert np.array_equal(unchanged.initial_state.rate, ready.initial_state.rate)
-    assert not initial_mode_columns(ready, nowhere).any()
+    assert not initial_mode_columns(ready, invalid_values).any()
     assert (
         initial_mode_columns(ready, model.values(NAMED)).any(axis=0).sum()
         == 2 * INITIAL_MODES
     )
 
 
-def test_a_state_is_kept_until_what_was_measured_changes(model):
+def test_initial_state_is_cached_until_the_points_change(model):
     t, seen = released(TURN, PLACES["two"], 30, 3e-3)
     trial = observed(t, seen, PLACES["two"], starts_moving=True)
     state = prepare_trial(model, trial).initial_state
@@ -237,11 +217,11 @@ def test_a_state_is_kept_until_what_was_measured_changes(model):
     assert not np.array_equal(moved.angle, state.angle)
 
 
-def test_a_dataset_that_begins_moving_is_estimated(model, tmp_path):
-    """A dataset that begins moving is estimated, from disk to parameters.
+def test_dataset_that_starts_in_motion_is_estimated(model, tmp_path):
+    """The residual is 1.09 mm at a noise of 0.99 mm, and k_h is 2 % low.
 
-    The residual is 1.09 mm, where noise is 0.99 mm, and k_h is 2 % low. With a start at
-    rest it would be 114 mm; from the first frames alone 1.5 mm, and k_h 5 % low.
+    With a start at rest the residual would be 114 mm; with the state of the first
+    frames alone 1.5 mm, and k_h 5 % low.
     """
     t, seen = released(TURN, PLACES["eleven"], 200, 7e-4)
     given = observed(t, seen, PLACES["eleven"])

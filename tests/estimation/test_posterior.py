@@ -1,4 +1,4 @@
-"""Draws of what trials leave possible: they follow what data cannot distinguish."""
+"""Posterior draws follow the directions that the data do not determine."""
 
 import numpy as np
 import pytest
@@ -16,11 +16,12 @@ STEP = 1e-3
 
 
 def linearise_sum(values, sensitivity):
-    """Linearise residuals that tell the sum of two values alone, near given ones."""
+    """Linearise residuals that depend only on the sum of two values, near given ones."""
     rng = np.random.default_rng(0)
     shape = rng.standard_normal(BLOCKS * FRAMES)
     noise = rng.standard_normal(BLOCKS * FRAMES)
-    noise -= shape * (shape @ noise) / (shape @ shape)  # the sum is the best
+    # without its component along the shape, so that the given sum is the optimum
+    noise -= shape * (shape @ noise) / (shape @ shape)
     chi = np.array([p.chi(np.asarray(v)) for p, v in zip(BOTH, values, strict=True)])
     moved = parameter_values(BOTH, chi + STEP) - parameter_values(BOTH, chi)
     slope = sensitivity * moved[:, None] / STEP * shape
@@ -31,10 +32,10 @@ def linearise_sum(values, sensitivity):
 
 
 @pytest.mark.parametrize("values", [(1e-4, 0.5), (0.25, 0.25), (0.5, 1e-4)])
-def test_draws_follow_a_valley_to_both_of_its_ends(values):
-    """A slow look shows the sum of two drags, and its best fit may have either alone.
+def test_draws_cover_a_valley_up_to_both_ends(values):
+    """A slow look determines only the sum of two drags.
 
-    Each drag is hardly there in some draws, and nearly alone in others.
+    Each drag is almost zero in some draws and almost the sum in others.
     """
     chi, linear = linearise_sum(values, sensitivity=100.0)
     share = share_of_blocks(linear)
@@ -45,8 +46,8 @@ def test_draws_follow_a_valley_to_both_of_its_ends(values):
         assert np.quantile(one, 0.9) > 0.4
 
 
-def test_a_block_counts_as_one_measurement_of_each_coordinate():
-    """What a model misses is alike within it, however many frames it has."""
+def test_block_counts_as_one_measurement_of_each_coordinate():
+    """Model error is correlated within a block of any number of frames."""
     values = 0.25, 0.25
     chi, linear = linearise_sum(values, sensitivity=1.0)
     known = Linearisation(
@@ -57,12 +58,12 @@ def test_a_block_counts_as_one_measurement_of_each_coordinate():
     drawn = parameter_values(one, sample_posterior(one, best, known, share, 0))
     relative = 1 / np.sqrt(2 * BLOCKS)
     assert np.std(drawn) == pytest.approx(relative, rel=0.3)
-    # every residual, where all are independent
+    # with independent residuals, each counts
     drawn = parameter_values(one, sample_posterior(one, best, known, 1.0, 0))
     assert np.std(drawn) == pytest.approx(1 / np.sqrt(BLOCKS * FRAMES), rel=0.3)
 
 
-def test_data_without_noise_leave_hardly_anything_possible():
+def test_data_without_noise_give_a_narrow_posterior():
     chi, linear = linearise_sum((0.25, 0.25), sensitivity=1.0)
     exact = Linearisation(
         0 * linear.residual,

@@ -1,7 +1,4 @@
-"""Predictions of a fitted model for a trial that nothing was fitted to.
-
-They may use only some of that trial.
-"""
+"""Predictions for held-out trials use only initial state and frames at rest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,19 +44,19 @@ NOISE = 3e-4
 
 @pytest.fixture
 def model(arm, camera):
-    """Return a model with the laws of `known_answers/test_clamp.py`.
+    """Return a model with the effects of `known_answers/test_clamp.py`.
 
-    Their values make them absent, so that one loop is compiled for both modules.
+    So one step loop is compiled for both files; absent effects have no influence.
     """
     return Model(STRING, arm, camera).with_effects(
         *find_effects(["density_taper", "rest_curvature", "tip_mass"])
     )
 
 
-def driven(model, values, name="driven", start=None):
-    """Simulate a trial with the noise of points.
+def simulate_trial(model, values, name="driven", start=None):
+    """Simulate a trial whose hand starts to move at MOVES.
 
-    Its hand begins to move after a while, or its string begins in a state.
+    With a start state, the hand rests.
     """
     reach = 0.1 * np.sin(9 * np.maximum(T - MOVES, 0.0)) if start is None else 0 * T
     pose = np.stack([reach, 0 * T, np.full_like(T, -np.pi / 2)], axis=-1)
@@ -77,8 +74,8 @@ def driven(model, values, name="driven", start=None):
     return observe_points(name, T, PLACES, seen, NOISE, **fields)
 
 
-def fitted(model, **values):
-    """Return an estimate that holds these values."""
+def true_estimate(model, **values):
+    """Return an estimate with the true values, except for the given ones."""
     rows = [
         {
             "name": p.name,
@@ -101,13 +98,10 @@ def fitted(model, **values):
     return Estimate(PARAMETERS.check(pd.DataFrame(rows)), *[pd.DataFrame()] * 3)
 
 
-def test_a_set_of_another_recording_is_read_where_the_string_rests(model):
-    """The rest shape of another recording is read from its frames before the motion.
-
-    Only these frames determine its two numbers. All else is as estimated.
-    """
+def test_set_of_a_recording_is_fitted_to_frames_at_rest(model):
+    """Only its two parameters are fitted; all others are as estimated."""
     other = {"rest_curvature.curvature": -2.0, "rest_curvature.slope": -8.0}
-    trial, estimate = driven(model, other), fitted(model)
+    trial, estimate = simulate_trial(model, other), true_estimate(model)
     read, plain = (
         predict(model, estimate, trial, own) for own in (["rest_curvature"], [])
     )
@@ -124,35 +118,37 @@ def test_a_set_of_another_recording_is_read_where_the_string_rests(model):
     )
 
 
-def test_what_is_read_where_it_rests_knows_nothing_of_what_follows(model):
-    trial = driven(model, {})
+def test_fit_at_rest_does_not_use_later_frames(model):
+    trial = simulate_trial(model, {})
     late = trial.points["t"] > MOVES + 0.05
     moved = replace(trial, points=trial.points.assign(x=trial.points["x"] + 0.1 * late))
     both = [
-        predict(model, fitted(model), each, ["rest_curvature"]).predicted["predicted_x"]
+        predict(model, true_estimate(model), each, ["rest_curvature"]).predicted[
+            "predicted_x"
+        ]
         for each in (trial, moved)
     ]
     np.testing.assert_array_equal(*both)
 
 
-def test_a_string_rests_until_its_hand_has_moved(model):
-    still = resting_part(prepare_trial(model, driven(model, {})))
-    assert still.times[-1] <= MOVES + 0.03  # by then the hand has moved 1.5 mm
+def test_resting_part_ends_when_the_hand_moves(model):
+    still = resting_part(prepare_trial(model, simulate_trial(model, {})))
+    assert still.times[-1] <= MOVES + 0.03  # the hand has moved by 1.5 mm
     assert len(still.times) >= np.sum(MOVES >= T)
     assert still.frame.max() == len(still.times) - 1
 
 
-def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
+def test_trial_that_starts_in_motion_has_only_a_fitted_state(model):
     middle = (np.arange(60) + 0.5) * 0.3 / 60
     aside = StringState(
         0.0, middle, -np.pi / 2 + 1.2 * np.sin(np.pi / 2 * middle / 0.3), 0 * middle
     )
-    trial = driven(model, {}, start=aside)
+    trial = simulate_trial(model, {}, start=aside)
     assert resting_part(prepare_trial(model, trial)) is None
-    found = predict(model, fitted(model), trial, ["rest_curvature"])
+    found = predict(model, true_estimate(model), trial, ["rest_curvature"])
     assert found.score["free"].iloc[0] == 12
     assert found.score["tip"].iloc[0] < 4 * NOISE
-    worse = predict(model, fitted(model, bending_stiffness=80.0), trial, [])
+    worse = predict(model, true_estimate(model, bending_stiffness=80.0), trial, [])
     assert worse.score["tip"].iloc[0] > 10 * NOISE
 
 
@@ -160,7 +156,7 @@ def test_of_one_that_begins_moving_only_its_beginning_is_fitted(model):
 
 
 class Recorder:
-    """An executor that makes nothing, and records the inputs of each step."""
+    """An executor that records the inputs of each step and returns fixed artifacts."""
 
     def __init__(self):
         self.seen = []
@@ -178,10 +174,12 @@ class Recorder:
             "tip_after": 0.004,
             "sentence": "",
         }
-        made = {
+        artifacts = {
             "predict": Prediction(pd.DataFrame(), SCORE.check(pd.DataFrame([score])))
         }
-        return made.get(name) or Estimate(*[pd.DataFrame()] * 3, pd.DataFrame([fit]))
+        return artifacts.get(name) or Estimate(
+            *[pd.DataFrame()] * 3, pd.DataFrame([fit])
+        )
 
 
 class Settings:
@@ -196,7 +194,7 @@ class Settings:
 
 
 def run(model, folder, trials_used, held_out):
-    trials = [driven(model, {}, name) for name in "abcd"]
+    trials = [simulate_trial(model, {}, name) for name in "abcd"]
     for table in ("grasp", "points"):
         rows = [getattr(trial, table).assign(trial=trial.trial) for trial in trials]
         pd.concat(rows).to_parquet(folder / f"{table}.parquet", index=False)
@@ -220,7 +218,7 @@ def run(model, folder, trials_used, held_out):
         ("all", [(3, ["a", "c", "d"])]),
     ],
 )
-def test_what_is_held_out_is_predicted_and_not_estimated_from(
+def test_held_out_trials_are_predicted_and_not_fitted(
     trials_used, estimated, model, tmp_path
 ):
     seen, result = run(model, tmp_path, trials_used, ["b"])
@@ -238,6 +236,6 @@ def test_what_is_held_out_is_predicted_and_not_estimated_from(
     assert "Held out, the tip of b is 2.0 mm off" in result.sentence
 
 
-def test_where_all_is_held_out_nothing_can_be_estimated(model, tmp_path):
+def test_estimation_needs_a_trial_that_is_not_held_out(model, tmp_path):
     with pytest.raises(DataError, match="holds out every trial"):
         run(model, tmp_path, "all", list("abcd"))

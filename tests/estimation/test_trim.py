@@ -11,7 +11,7 @@ S = np.linspace(0.1, 0.3, 5)
 WALL = Box(0.5, 0.0, 0.02, 1.0)
 
 
-def going_right(step, frames=20):
+def moving_right(step, frames=20):
     """Return a hanging string that moves right by `step` [m] from frame to frame."""
     t, s = np.meshgrid(0.005 * np.arange(frames), S, indexing="ij")
     x = step * np.round(t / 0.005)
@@ -25,43 +25,39 @@ def last_x(observation):
     return observation.points["x"].max()
 
 
-def test_a_trial_ends_before_it_touches():
-    """A trial ends before the string touches the wall.
+def test_trial_is_cut_before_contact():
+    """The string moves 30 mm per frame.
 
-    It moves 30 mm from frame to frame: 480 mm is within 10 mm of the wall's face at 490
-    mm, 450 mm is not.
+    480 mm is within 10 mm of the wall's face at 490 mm, and 450 mm is not.
     """
-    assert last_x(trim_at_contact(going_right(0.03), [WALL])) == 0.03 * 15
+    assert last_x(trim_at_contact(moving_right(0.03), [WALL])) == 0.03 * 15
     assert 0.49 - CONTACT_MARGIN_M <= 0.03 * 16
 
 
-def test_what_passes_between_two_frames_has_touched_too():
-    """A string that passes a thin wall between two frames has touched it.
-
-    It moves 150 mm from frame to frame.
-    """
+def test_contact_between_two_frames_is_detected():
+    """The string passes a thin wall, moving 150 mm per frame."""
     assert (
-        last_x(trim_at_contact(going_right(0.15), [Box(0.525, 0.0, 0.002, 1.0)]))
+        last_x(trim_at_contact(moving_right(0.15), [Box(0.525, 0.0, 0.002, 1.0)]))
         == 0.15 * 3
     )
 
 
-def test_points_that_were_not_measured_touch_nothing_and_hide_nothing():
-    seen = going_right(0.03)
+def test_invalid_points_are_ignored_in_contact_detection():
+    seen = moving_right(0.03)
     seen.points.loc[seen.points["s"] == S[2], "valid"] = False
     cut = trim_at_contact(seen, [WALL])
     assert last_x(cut) == 0.03 * 15
     assert len(cut.points) == 16 * len(S)
 
 
-def test_without_obstacles_or_clear_of_them_or_touching_from_the_first_all_stays():
-    seen = going_right(0.01)
+def test_trials_without_contact_or_in_contact_from_the_start_stay_whole():
+    seen = moving_right(0.01)
     assert trim_at_contact(seen, []) is seen
     assert trim_at_contact(seen, [WALL]) is seen
     assert trim_at_contact(seen, [Box(0.0, 0.0, 0.02, 1.0)]) is seen
 
 
-def test_a_trial_of_which_nothing_was_read_is_left_to_those_who_say_so():
-    seen = going_right(0.03)
+def test_trial_without_valid_points_stays_whole():
+    seen = moving_right(0.03)
     seen.points["valid"] = False
     assert trim_at_contact(seen, [WALL]) is seen

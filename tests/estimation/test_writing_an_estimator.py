@@ -1,21 +1,21 @@
-"""The estimator that the page on writing one shows."""
+"""The example of the page on writing an estimator works."""
 
 import re
 from pathlib import Path
 
 import numpy as np
-from estimation.test_estimate import MATCHING, STRING, observed
+from estimation.test_estimate import MATCHING, STRING, simulate_swing
 
 from stringcast.stages.model.model import Model
 
 PAGE = Path(__file__).resolve().parents[2] / "stages/estimate/writing_an_estimator.md"
 
 
-def test_the_estimator_of_the_page_finds_a_better_string(arm, camera):
+def test_estimator_of_the_page_finds_a_better_string(arm, camera):
     code = re.search(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.S)[1]
     namespace = {}
     exec(compile(code, str(PAGE), "exec"), namespace)
-    observation = observed(2)
+    observation = simulate_swing(2)
     result = namespace["estimate"](
         Model(STRING, arm, camera),
         [observation],

@@ -21,7 +21,7 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.inference.whitening import IndependentErrors
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import parameter_exponents
-from tests.estimation.test_estimate import STRING, TRUTH, observed
+from tests.estimation.test_estimate import STRING, TRUTH, simulate_swing
 from tests.inference.estimation_sets import (
     END,
     NOISE,
@@ -110,7 +110,7 @@ def test_an_uncertain_error_is_subtracted_with_its_estimated_amplitude(
 ):
     """Another shape, such as that of an initial state, stays in the points."""
     model = Model(STRING, arm, camera)
-    trial = prepare_trial(model, observed(3))
+    trial = prepare_trial(model, simulate_swing(3))
     progress = np.linspace(0, 1, len(trial.points))
     uncertain_m = 0.01 * np.stack([progress**2, progress], axis=1)
     other_m = 0.005 * np.stack([np.cos(9 * progress), np.sin(9 * progress)], axis=1)

@@ -1,4 +1,4 @@
-"""Predict: where a fitted model has the string in a trial that was not fitted."""
+"""Predict the string in a trial that was not used for the estimate."""
 
 from stringcast.data.estimates import Estimate, Prediction
 from stringcast.stages.spec import MODEL, CollectedTrials, LatestIteration, StageSpec

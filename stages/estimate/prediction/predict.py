@@ -1,8 +1,8 @@
-"""The prediction error of a model in a trial that nothing was fitted to.
+"""Compute the prediction error of an estimate in a held-out trial.
 
-Two things are taken from the trial itself. One is the state in which it begins, refined
-as in a fit (`initial_modes`). The other are the values of effects that differ from one
-trial to another, such as a set, fitted to the frames in which the string rests.
+Two things are fitted to the trial itself: its initial state, refined as in a fit
+(`initial_modes`), and the values of effects that differ between trials, such as a set,
+from the frames in which the string rests.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ from stringcast.stages.model.parameter import (
 )
 from stringcast.stages.spec import StageCall
 
-# Of the string's length: a hand that moves the tip less rests; markers have 2 to 4 mm
+# shift of the tip below which the hand rests, as a share of the string's length;
+# the noise of markers is 2 to 4 mm
 REST_SHARE = 0.005
 
 
 def run(call: StageCall, trials: TrialSet, estimate: Estimate) -> Prediction:
-    """Predict the one trial given, cut where its string touches an obstacle."""
+    """Predict one trial until its string touches an obstacle."""
     (trial,) = trials.observations
     observation = trim_at_contact(trial, call.setup.obstacles)
     own_effects = call.setup.effects_per_recording
@@ -55,10 +56,10 @@ def predict(
     Parameters
     ----------
     observation
-        The trial, whose initial state the prediction has.
+        The trial; its initial state is fitted.
     own_effects
-        Effects whose values are those of the trial, where the string rests before the
-        hand moves; else they are as estimated.
+        Effects whose values are fitted to the trial if its string rests before the hand
+        moves; otherwise the estimated values are used.
     """
     values = model.values(estimate.values())
     trial = refine_initial_state(prepare_trial(model, observation), values)
@@ -104,7 +105,7 @@ def predict(
 def resting_part(trial: PreparedTrial) -> PreparedTrial | None:
     """Cut a trial to the frames in which its string rests before the hand moves.
 
-    None where there are no such frames, or the trial begins moving.
+    None if there are no such frames, or if the trial starts in motion.
     """
     if trial.initial_state is not None:
         return None
@@ -122,16 +123,16 @@ def resting_part(trial: PreparedTrial) -> PreparedTrial | None:
 
 @dataclass(frozen=True)
 class _RestProblem:
-    """The fit of some parameters to a string at rest, posed to the solver.
+    """Solver problem: fit some parameters to a string at rest.
 
     Parameters
     ----------
     trial
         Frames in which the string rests.
     values
-        Of all parameters, (P,).
+        Values of all parameters, (P,).
     indices
-        Of those that are fitted.
+        Indices of the fitted parameters.
     """
 
     trial: PreparedTrial
@@ -141,22 +142,22 @@ class _RestProblem:
 
     @property
     def candidates_at_once(self) -> int:
-        """Number of candidates that take as long together as one."""
+        """Number of candidates that together take as long as one."""
         return LANES
 
     @property
     def parameters(self) -> list[Parameter]:
-        """The parameters that are fitted."""
+        """Parameters that are fitted to the trial."""
         return [self.trial.model.parameters[index] for index in self.indices]
 
     def full_values(self, chi: np.ndarray) -> np.ndarray:
-        """Complete the values of all parameters, (C, P)."""
+        """Return the values of all parameters, (C, P), with the fitted ones at chi."""
         values = np.repeat(self.values[None], len(chi), axis=0)
         values[:, self.indices] = parameter_values(self.parameters, chi)
         return values
 
     def residuals(self, chi: np.ndarray) -> np.ndarray:
-        """Compute simulated less measured over sigma, (C, 2 N)."""
+        """Compute simulated minus measured points over sigma, (C, 2 N)."""
         values = self.full_values(chi)
         residuals = normalised_residuals(self.trial.model, [self.trial], values)
         return np.asarray(np.nan_to_num(residuals[0], nan=DIVERGED_RESIDUAL))
