@@ -321,9 +321,9 @@ def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with a row for each size parameter of an effect."""
     table = Table(box=None, pad_edge=False)
     table.add_column("effect", overflow="fold")
-    for heading in ("found from", "tip [mm]", "like the string"):
+    for heading in ("detectable from", "tip [mm]", "imitated by string"):
         table.add_column(heading, justify="right")
-    table.add_column("taken for")
+    table.add_column("mistaken for")
     for row in rows:
         table.add_row(
             f"{row['effect']}.{row['parameter']}",

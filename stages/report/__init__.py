@@ -1,1 +1,1 @@
-"""Self-contained HTML pages: `page.py` has their parts, `charts/` their figures."""
+"""Self-contained HTML pages: `parts.py` has their parts, `charts/` their figures."""

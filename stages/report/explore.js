@@ -1,12 +1,12 @@
 "use strict";
-// Every .explore of a page is a group: films and charts that share one clock [ms]. What is pointed at, played or stepped
-// to in one is shown in all; so is the stretch of time that one of the charts is zoomed to.
+// Each .explore of a page is a group of films and charts with one clock [ms]. Pointing, playing, stepping and zooming in
+// one of them changes all.
 
 const dark = matchMedia("(prefers-color-scheme: dark)");
 const LEAST_HEIGHT = 120; // of a chart above its legend [px]
-const STEPS = [1, 2, 5]; // of a length that is drawn beside a film, times a power of ten
+const STEPS = [1, 2, 5]; // lengths of the scale bar of a film, times a power of ten
 
-// A name of the theme, as it is now, or a colour.
+// The current colour of a theme name, or the colour itself.
 function colour(name) {
   return name.startsWith("#") ? name : getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 }
@@ -43,7 +43,7 @@ class Group {
     this.whole = [Math.min(this.whole[0], times[0]), Math.max(this.whole[1], times[times.length - 1])];
   }
   show(t, from) {
-    if (from && this.controls) this.controls.stop(); // what is pointed at stays
+    if (from && this.controls) this.controls.stop(); // pointing stops playback
     this.t = Math.min(Math.max(t, this.whole[0]), this.whole[1]);
     for (const member of this.members) if (member !== from) member.show(this.t);
     if (this.controls) this.controls.show(this.t);
@@ -51,7 +51,7 @@ class Group {
   zoom(range, from) {
     for (const member of this.members) if (member !== from) member.zoom(range);
   }
-  // To a stretch `factor` times as long around the clock.
+  // Zoom to an interval `factor` times as long around the clock.
   closer(factor) {
     const chart = this.members.find((member) => member.plot);
     if (!chart) return;
@@ -65,7 +65,7 @@ class Group {
   }
 }
 
-// Play, slider, speed, what is drawn, and zoom for those without a mouse.
+// Play, slider, speed, layers, and zoom without a mouse.
 class Controls {
   constructor(box, group) {
     this.group = group;
@@ -121,7 +121,7 @@ class Controls {
   }
 }
 
-// Strings over time, over the camera's frames where there are any.
+// Strings over time, on camera frames if there are any.
 class Film {
   constructor(box, group) {
     this.group = group;
@@ -164,12 +164,12 @@ class Film {
     const { layers, times } = this.group.controls;
     for (const layer of layers.filter((one) => one.checked && data.strings[one.value])) {
       pen.globalAlpha = 0.35;
-      if (data.ways) trace(pen, data.ways[layer.value], layer.dataset.colour, false, 1);
+      if (data.paths) trace(pen, data.paths[layer.value], layer.dataset.colour, false, 1);
       pen.globalAlpha = 1;
       this.string(pen, index, layer, Number(times ? times.value : 1));
     }
   }
-  // A string, its distance from the measured one drawn `times` as large.
+  // A string, its distance from the measured one magnified by `times`.
   string(pen, index, layer, times) {
     const points = this.data.strings[layer.value][index], measured = this.data.strings.measured[index];
     const away = (one, i) => one.map((u, k) => measured[i][k] + times * (u - measured[i][k]));
@@ -178,7 +178,7 @@ class Film {
     pen.fillStyle = colour(layer.dataset.colour);
     for (const [u, v] of drawn) pen.fillRect(u - 2, v - 2, 4, 4);
   }
-  // A line of a round length, about a quarter as long as the film is wide.
+  // A scale bar of a round length, about a quarter of the film's width.
   scale(pen) {
     const most = this.data.width / 4 / this.data.metre, power = 10 ** Math.floor(Math.log10(most));
     const length = Math.max(...STEPS.filter((step) => step * power <= most)) * power;
@@ -287,12 +287,12 @@ class Chart {
   }
 }
 
-// Commands name the folder in which this page lies, wherever it was moved to, as a word of the shell.
+// Commands contain the current folder of this page, quoted for the shell.
 const path = decodeURIComponent(location.pathname).replace(/\/[^/]*$/, "").replace(/^\/(?=[A-Za-z]:)/, "");
 const word = /[^\w@%+=:,./-]/.test(path) ? `'${path.replaceAll("'", `'"'"'`)}'` : path;
 for (const place of document.querySelectorAll(".here")) place.textContent = word;
 
-// After the first paint, which need not wait for any of it.
+// After the first paint, so that it is not delayed.
 const groups = [];
 requestAnimationFrame(() => setTimeout(() => {
   for (const box of document.querySelectorAll(".explore")) groups.push(new Group(box));

@@ -1,4 +1,4 @@
-"""Numbers, symbols, stretches of time and verdicts in the form that people read."""
+"""Format numbers, symbols, units, settings and verdicts for readers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _format_scaled(value: float | None, factor: float, digits: int, unit: str) -
 
 
 def format_percent(share: float) -> str:
-    """Format a probability or share, with words for what is small or nearly certain."""
+    """Format a probability or share, with words for very small and very large ones."""
     if not np.isfinite(share):
         return NOT_KNOWN
     if share < 0.005:
@@ -71,7 +71,7 @@ def format_count(number: int, noun: str) -> str:
 
 
 def format_value(value: float) -> str:
-    """Format three significant figures, with a power of ten where that is shorter."""
+    """Format three significant figures, with a power of ten if that is shorter."""
     if not np.isfinite(value):
         return NOT_KNOWN
     if value == 0 or 1e-3 <= abs(value) < 1e4:
@@ -82,7 +82,7 @@ def format_value(value: float) -> str:
 
 
 def format_mean(row: Mapping[str, Any]) -> str:
-    """Format a mean with its interval if it has one; the row is of `mean_response`."""
+    """Format a mean with its interval, if any, from a row of `mean_response`."""
     mean = format_value(row["mean"])
     if not np.isfinite(row["low"]):
         return mean
@@ -90,10 +90,9 @@ def format_mean(row: Mapping[str, Any]) -> str:
 
 
 def format_quantity(row: Mapping[str, Any]) -> tuple[Markup, Markup]:
-    """Format a value and its 95 % interval in handy units; the row is of table CAUSES.
+    """Format value and 95 % interval in convenient units, from a row of table CAUSES.
 
-    They have as many figures as the interval justifies. Where only the lower end is
-    known, the interval says so.
+    They have as many figures as the interval justifies. The interval may be one-sided.
     """
     factor, name = DISPLAY_UNITS.get(row["unit"], (1.0, row["unit"]))
     scaled = [factor * row[column] for column in ("value", "low", "high")]
@@ -111,8 +110,8 @@ def _with_unit(figures: str, name: str) -> Markup:
 def format_interval(value: float, low: float, high: float) -> list[str]:
     """Format a value and the ends of its interval to two figures of its width.
 
-    Each has three figures of its own if the interval is not known or spans more than a
-    power of ten.
+    If the interval is unknown or spans more than a power of ten, each number has three
+    significant figures.
     """
     width, largest = high - low, max(abs(low), abs(high), abs(value))
     is_known = np.isfinite(largest) and width > 0
@@ -130,13 +129,13 @@ def format_interval(value: float, low: float, high: float) -> list[str]:
 
 
 def superscript(number: str) -> str:
-    """Raise the figures of an exponent, without leading zeros."""
+    """Return the superscript digits of an exponent, without leading zeros."""
     return str(int(number)).translate(SUPERSCRIPTS)
 
 
 # --- symbols and units
 def symbol_markup(name: str) -> Markup:
-    """Set the index of a symbol such as k_ph low."""
+    """Format a symbol such as k_ph, with its index as a subscript."""
     stem, _, index = name.partition("_")
     if index:
         return Markup("<i>{}</i><sub>{}</sub>").format(stem, index)
@@ -144,7 +143,7 @@ def symbol_markup(name: str) -> Markup:
 
 
 def sentence_markup(text: str) -> Markup:
-    """Set the symbols in a sentence as symbols."""
+    """Format the symbols in a sentence."""
     symbols = r"\b[kcC]_\w+\b"
     marked = re.sub(
         symbols, lambda found: str(symbol_markup(found[0])), str(escape(text))
@@ -153,15 +152,15 @@ def sentence_markup(text: str) -> Markup:
 
 
 def unit_markup(text: str) -> Markup:
-    """Set the powers of a unit such as N s2/(m2 kg) high."""
+    """Format a unit such as N s2/(m2 kg), with its powers as superscripts."""
     return Markup(re.sub(r"(?<=[a-z])(\d)", r"<sup>\1</sup>", str(escape(text))))
 
 
-# --- what a run says
+# --- settings and verdicts
 def setting_texts(
     block: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """List settings in nested blocks by the names they have on the command line."""
+    """List settings in nested blocks by their names on the command line."""
     for name, value in sorted(block.items()):
         if isinstance(value, Mapping) and value:
             yield from setting_texts(value, f"{prefix}{name}.")

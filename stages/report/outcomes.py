@@ -12,7 +12,7 @@ from scipy.special import ndtri, stdtrit
 from stringcast.stages.common import readable_name
 
 CONFIDENCE = 0.95  # of the intervals of means and rates
-# Fewer values have no interval: Student's is then wider than what is known beforehand.
+# fewer values have no interval, because Student's is then wider than prior knowledge
 MIN_SEEDS = 5
 MeanFunction = Callable[[np.ndarray], tuple[float, float, float]]
 
@@ -30,7 +30,7 @@ def arithmetic_mean(values: np.ndarray) -> tuple[float, float, float]:
 def geometric_mean(values: np.ndarray) -> tuple[float, float, float]:
     """Return geometric mean and 95 % interval of (K,) positive values.
 
-    It suits values that span powers of ten.
+    Suitable for values that span powers of ten.
     """
     mean, low, high = np.exp(arithmetic_mean(np.log(values)))
     return float(mean), float(low), float(high)
@@ -39,8 +39,8 @@ def geometric_mean(values: np.ndarray) -> tuple[float, float, float]:
 def mean_share(values: np.ndarray) -> tuple[float, float, float]:
     """Return mean and Wilson's 95 % interval (1927) of (K,) shares.
 
-    Each value counts as one trial. Where a value is itself a mean over several jobs of
-    a seed, the interval is too wide rather than too narrow.
+    Each value counts as one trial. If values are means over several jobs of a seed, the
+    interval is too wide.
     """
     mean = float(values.mean())
     count = len(values)
@@ -69,7 +69,8 @@ class Outcome:
     axis : str
         Matplotlib's name of the axis' scale.
     bounds : tuple of float
-        Least and largest possible value, in the column's unit; intervals end there.
+        Least and largest possible value, in the column's unit; intervals are clipped to
+        them.
     """
 
     name: str
@@ -126,8 +127,8 @@ def mean_response(
     Returns
     -------
     DataFrame
-        Columns factors, mean, low, high, seeds, jobs. Levels without a known value
-        have no row, and those of fewer than MIN_SEEDS seeds no interval.
+        Columns factors, mean, low, high, seeds, jobs. Levels without a known value have
+        no row; levels with fewer than MIN_SEEDS seeds have no interval.
     """
     has_value = jobs[outcome.name].notna()
     if outcome.axis == "log":

@@ -1,4 +1,4 @@
-"""A page: one file that needs no other, made of parts."""
+"""A page: one self-contained file, made of parts."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from stringcast.stages.report.parts import (
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.report.theme import CSS_VARIABLES
 
-# scripts of a page that holds an element of a class
+# scripts of a page with an element of each class
 SCRIPTS_OF_CLASS = {
     "explore": ("vendor/uPlot.iife.min.js", "explore.js"),
     "here": ("vendor/uPlot.iife.min.js", "explore.js"),
     "runs": ("runs.js",),
 }
 MIN_SECTIONS_WITH_CONTENTS = 4
-# of the data of a run, by its hardware
+# source of a run's data, by its hardware
 SOURCES = {
     "hardware.virtual.open_lab": "simulated in a virtual lab",
     "hardware.serial.rehearsal.open_lab": "an emulated arm in a virtual lab",
@@ -43,22 +43,22 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class Page:
-    """A page, whose text is `str(page)`: one file that needs no other.
+    """A self-contained page, whose HTML is `str(page)`.
 
     Attributes
     ----------
     kind : str
-        What it reports on, such as sweep.
+        Subject of the report, such as sweep.
     name : str
         Name of the run.
     origin : mapping
-        Seed if there is one, code, packages.
+        Seed, if any, code, packages.
     settings : mapping
         Settings as nested blocks.
     tone : str
         "good" or "bad", for the colour and mark of the heading.
     nav : sequence of (anchor, words)
-        Links to parts; without them, a page of many sections links to each.
+        Links to parts; by default, a page of many sections links to each.
     following : sequence of (purpose, command)
         Commands to continue with.
     """
@@ -75,7 +75,7 @@ class Page:
     following: Sequence[tuple[str, str]] = ()
 
     def __str__(self) -> str:
-        """Render the page; the same content gives the same text."""
+        """Render the page; the same content gives the same HTML."""
         parts = [*self.sections, self._next_steps(), self._reproduction()]
         body = Markup("\n").join(part for part in parts if part is not None)
         names: dict[str, None] = {}
@@ -100,7 +100,7 @@ class Page:
 
     @property
     def source(self) -> str:
-        """Whether its data are simulated or of devices; empty if that is not known."""
+        """Source of the data (simulation, devices, stored trials); empty if unknown."""
         settings = dict(formatting.setting_texts(self.settings))
         trials = settings.get("trials", "null")
         if trials != "null":
@@ -123,7 +123,7 @@ class Page:
         return Section("Next steps", [Card("", [Commands(self.following)])])
 
     def _reproduction(self) -> Section:
-        """List where the page comes from, and the settings that make it again."""
+        """List the origin of the page, and the settings that reproduce it."""
         seed = f"seed {self.origin['seed']}, " if "seed" in self.origin else ""
         origin = f"Origin: {seed}code {self.origin['code']['commit'][:10]}"
         folded = [Details(origin, [settings_table(self.origin)])]
@@ -141,7 +141,7 @@ def stage_page(
     lead: str = "",
     tone: str = "",
 ) -> str:
-    """Render the page of a stage; the result's sentence is the default of its texts."""
+    """Render the page of a stage; heading and lead default to its sentence."""
     page = Page(
         kind=kind,
         name=facts.name,
@@ -157,7 +157,7 @@ def stage_page(
 
 
 def _script_policy(scripts: Sequence[str]) -> str:
-    """Return the security policy that admits these scripts and no others."""
+    """Return the security policy that allows only these scripts."""
     if not scripts:
         return ""
     digests = [hashlib.sha256(script.encode()).digest() for script in scripts]

@@ -1,7 +1,7 @@
-"""Parts of a page: what is written is decided in Python, how it looks in the templates.
+"""Parts of a page: Python decides their content, templates decide their appearance.
 
-A page is a list of sections, a section a list of parts. Each kind of part is a class
-here and a macro of its name in `parts.html.j2`.
+A page is a list of sections, and a section is a list of parts. Each kind of part is a
+class here and a macro of the same name in `parts.html.j2`.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ FOLDER_PLACEHOLDER = "{here}"  # stands in commands for the page's folder
 
 
 class Part:
-    """Anything that a page shows; templates and other parts insert it by its name."""
+    """Base class of parts; templates and other parts insert a part as HTML."""
 
     def __html__(self) -> str:
-        """Render the part as HTML, with everything escaped that is not Markup."""
+        """Render the part as HTML; everything except Markup is escaped."""
         macros = html_templates().get_template("parts.html.j2").module
         macro = getattr(macros, type(self).__name__.lower())
         return str(macro(self))
@@ -36,7 +36,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Text(Part):
-    """A paragraph; its kind is lead, caption or missing (for what is not there)."""
+    """A paragraph; its kind is lead, caption or missing (for missing content)."""
 
     words: str
     kind: str = "lead"
@@ -44,7 +44,7 @@ class Text(Part):
 
 @dataclass(frozen=True)
 class Tiles(Part):
-    """Numbers to remember, side by side, each with its meaning."""
+    """Key numbers side by side, each with its meaning."""
 
     tiles: Sequence[tuple[str, str]]
 
@@ -53,7 +53,7 @@ class Tiles(Part):
 class Cell:
     """A cell of a table; its kind is n (a number), code, name or missing.
 
-    The title appears where a pointer rests on the cell.
+    The title is the cell's tooltip.
     """
 
     words: Any
@@ -63,12 +63,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class TableView(Part):
-    """A table of cells or plain words; without columns, one of names and values.
+    """A table of cells or plain words; without columns, a list of names and values.
 
     Attributes
     ----------
     named : bool
-        The first cell of a row is its heading.
+        Whether the first cell of a row is its heading.
     """
 
     columns: Sequence[str]
@@ -87,7 +87,7 @@ def _as_cell(entry: Any) -> Cell:
 
 @dataclass(frozen=True)
 class Key(Part):
-    """A key of colours: words, and a CSS colour or the class of a mark."""
+    """A legend: words, each with a CSS colour or the class of a mark."""
 
     entries: Sequence[tuple[str, str]]
 
@@ -105,7 +105,7 @@ class Figure(Part):
 
 @dataclass(frozen=True)
 class Small(Part):
-    """Small pictures side by side, each below its words."""
+    """Small pictures side by side, each with words above it."""
 
     pictures: Sequence[tuple[str, Picture]]
 
@@ -128,7 +128,7 @@ class Container(Part):
 
 @dataclass(frozen=True)
 class Details(Part):
-    """Parts that are folded away behind a line."""
+    """Parts that are folded below a summary line."""
 
     summary: str
     parts: Sequence[Part]
@@ -136,7 +136,7 @@ class Details(Part):
 
 @dataclass(frozen=True)
 class Layer:
-    """Strings of a film that the reader can show or hide.
+    """A layer of strings in a film, which the reader can show or hide.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class Layer:
     colour : str
         Name of the theme, or #...
     label : str
-        What the reader sees; the name by default.
+        Label for the reader; the name by default.
     """
 
     name: str
@@ -156,9 +156,9 @@ class Layer:
 
 @dataclass(frozen=True)
 class FilmPlayer(Part):
-    """Strings over time, over camera frames where there are any.
+    """Strings over time, drawn on camera frames if there are any.
 
-    The data are JSON-able; see `charts.camera.cast_film_data`.
+    The data can be written as JSON; see `charts.camera.cast_film_data`.
     """
 
     data: Mapping[str, Any] = field(repr=False)
@@ -167,7 +167,7 @@ class FilmPlayer(Part):
 
 @dataclass(frozen=True)
 class Line:
-    """A curve of a chart: values at its times, NaN for gaps, and a theme colour."""
+    """A curve of a chart: values at the chart's times, NaN for gaps; a theme colour."""
 
     label: str
     values: np.ndarray = field(repr=False)
@@ -184,14 +184,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Chart(Part):
-    """Curves over time that the reader can hover over and zoom.
+    """Curves over time, with hovering and zooming.
 
     Attributes
     ----------
     t : ndarray
         Ascending times [s].
     axis : str
-        What is drawn, with its unit.
+        Label of the axis with its unit.
     moving : tuple of float, optional
         Interval [s] in which the arm moves.
     mark : float, optional
@@ -211,7 +211,7 @@ class Chart(Part):
 
     @property
     def words(self) -> str:
-        """The largest value of each curve, for readers who cannot see them."""
+        """The largest value of each curve, for screen readers."""
         largest = []
         for line in self.lines:
             known = line.values[np.isfinite(line.values)]
@@ -242,11 +242,11 @@ class Explore(Part):
     Attributes
     ----------
     layers : sequence of Layer
-        Of its films.
+        Layers of the films.
     times : bool
-        The reader can enlarge the differences between the strings.
+        Whether the reader can magnify the differences between the strings.
     plays : bool
-        The clock runs by itself, again and again, until the reader stops it.
+        Whether the clock runs in a loop until the reader stops it.
     """
 
     parts: Sequence[Part]
@@ -265,9 +265,9 @@ class Jump(Part):
 
 @dataclass(frozen=True)
 class Commands(Part):
-    """Commands to continue with: the purpose, and the text to paste.
+    """Commands to continue with: purpose and command line.
 
-    The reader's browser replaces FOLDER_PLACEHOLDER by the page's own folder.
+    The browser replaces FOLDER_PLACEHOLDER by the page's own folder.
     """
 
     commands: Sequence[tuple[str, str]]
@@ -282,7 +282,7 @@ class Commands(Part):
 
 @dataclass(frozen=True)
 class RunsView(Part):
-    """A list of runs that the reader sorts and filters, with their casts as curves.
+    """A list of runs that can be sorted and filtered, with their casts as curves.
 
     Attributes
     ----------
@@ -299,7 +299,7 @@ class RunsView(Part):
 
 @dataclass(frozen=True)
 class Section(Part):
-    """A heading with an optional badge, and parts; links lead to its anchor."""
+    """A heading with an optional badge, and parts; `anchor` is the target of links."""
 
     title: str
     parts: Sequence[Part | None]
@@ -309,7 +309,7 @@ class Section(Part):
 
     @property
     def place(self) -> str:
-        """Name of the section in links: its anchor, or its title in small letters."""
+        """Name of the section in links: its anchor, or its title in lower case."""
         return self.anchor or re.sub(r"\W+", "-", str(self.title).lower()).strip("-")
 
 
@@ -324,7 +324,7 @@ def number_cells(texts: Iterable[Any]) -> list[Cell]:
 
 
 def name_value_table(rows: Sequence[Sequence[Any]]) -> TableView:
-    """Create a table of names, each with its value or values, without a heading."""
+    """Create a table without a heading, with a name and its values in each row."""
     return TableView((), rows, named=True)
 
 
@@ -348,17 +348,17 @@ def hit_badge(hit: bool) -> Markup:
 
 
 def link(where: str, text: Any) -> Markup:
-    """Link to a place in the page or to a page beside it."""
+    """Link to an anchor of the page, or to another page."""
     return Markup('<a href="{}">{}</a>').format(where, text)
 
 
 def code_text(text: str) -> Markup:
-    """Set words that are typed as they stand, such as a command."""
+    """Format code, such as a command."""
     return Markup("<code>{}</code>").format(text)
 
 
 def bold_text(text: str) -> Markup:
-    """Set words in bold."""
+    """Format text in bold."""
     return Markup("<b>{}</b>").format(text)
 
 

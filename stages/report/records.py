@@ -1,4 +1,4 @@
-"""Data that pages are made from."""
+"""Records of the data that pages show."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class StageRecord:
     artifact : artifact
         Output of the stage.
     model : Model
-        As configured.
+        The configured model.
     settings : mapping
         Nested blocks.
     provenance : mapping
@@ -82,7 +82,7 @@ class CastRecord:
 
     @property
     def explanation(self) -> Explanation | None:
-        """The estimate with its causes, where these were sought."""
+        """The estimate with its causes, if a search was made."""
         if isinstance(self.estimate, Explanation):
             return self.estimate
         return None
@@ -94,7 +94,7 @@ class CastRecord:
 
     @property
     def is_valid(self) -> bool:
-        """Whether the trial is usable; that of a dry run is not."""
+        """Whether the trial is valid; a dry run is not."""
         return bool(self.trial.link["valid"].iloc[0])
 
     @property
@@ -110,21 +110,21 @@ class CastRecord:
 
     @cached_property
     def grey_range(self) -> tuple[float, float]:
-        """Black and white of all frames: the extremes of the closest frame.
+        """Grey levels of black and white: the extremes of the closest frame.
 
-        A thin string covers less of a frame than any percentile.
+        Percentiles would not do, because a thin string covers too few pixels.
         """
         image = self.trial.images[self.closest_frame]
         return float(image.min()), float(max(image.max(), image.min() + 1))
 
     @cached_property
     def centre_lines(self) -> dict[int, np.ndarray]:
-        """Centre-lines read, by frame: (K, 3) of x, y and arc length [m]."""
+        """Measured centre-lines by frame: (K, 3) of x, y and arc length [m]."""
         frames = self.points.valid_points.groupby("t", sort=True)[["x", "y", "s"]]
         return {self.frame_at(t): rows.to_numpy() for t, rows in frames}
 
     def centre_line(self, frame: int) -> np.ndarray:
-        """Return the centre-line read in a frame [m], (K, 2); empty if it was not."""
+        """Return the centre-line of a frame [m], (K, 2); empty if it was not read."""
         return self.centre_lines.get(frame, np.zeros((0, 3)))[:, :2]
 
     def tip_path(self, t: np.ndarray) -> np.ndarray:
@@ -146,20 +146,20 @@ class CastRecord:
         return np.where(is_inside[:, None], tip_path(readings, t), np.nan)
 
     def joint_positions(self, arm: Arm) -> np.ndarray:
-        """Return base, joints and hand as measured [m], shape (K, J + 1, 2)."""
+        """Return measured positions of base, joints and hand [m], (K, J + 1, 2)."""
         return arm.joint_positions(self.trial.arm[list(JOINTS)].to_numpy())
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """Content of the page of a run; without casts if it only estimated.
+    """Content of the page of a run; no casts if it only estimated.
 
     Attributes
     ----------
     estimates : tuple of Estimate
-        All of the run, in order.
+        All estimates of the run, in order.
     look : CastRecord, optional
-        The slow trial before the first cast; its verdict says nothing.
+        The slow trial before the first cast; its verdict has no meaning.
     next_commands : sequence of (purpose, command)
         Commands to continue with.
     """
@@ -190,14 +190,14 @@ def simulate_cast(
     Parameters
     ----------
     model : Model
-        As configured.
+        The configured model.
     observation : Observation
-        Of the cast.
+        Observation of the cast.
     trial : Trial
-        The cast's trial, at whose frames the string is wanted.
+        Trial of the cast; the string is simulated at its frames.
     previous, estimate : Estimate, optional
-        Estimates before and after the cast; by default, start values and the estimate
-        before.
+        Estimates before and after the cast; by default, the start values and the
+        estimate before.
 
     Returns
     -------
@@ -224,7 +224,7 @@ MAX_DRAWN_TRIALS = 8
 
 @dataclass(frozen=True)
 class DiagnosisRecord:
-    """Content of the page of a diagnosis; the model is as configured."""
+    """Content of the page of a diagnosis, with the configured model."""
 
     diagnosis: Diagnosis
     model: Model
@@ -249,7 +249,7 @@ class DiagnosisRecord:
 
     @property
     def added_effects(self) -> list[str]:
-        """Names of the effects that the configured model lacks."""
+        """Names of the effects that were added to the configured model."""
         configured = {effect.name for effect in self.model.effects}
         return [name for name in self.extension["effects"] if name not in configured]
 
@@ -276,7 +276,7 @@ class DiagnosisRecord:
 
 
 def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
-    """Return the distances (n,) [m] of measured points of table RESIDUALS from a model.
+    """Return distances (n,) [m] between measured points of table RESIDUALS and a model.
 
     model: base or extended.
     """
@@ -342,7 +342,7 @@ class SweepRecord:
 
     @cached_property
     def factors(self) -> list[str]:
-        """Varied settings without the seed, whose values repeat the experiment."""
+        """Varied settings except the seed."""
         return [name for name in self.varied_settings if name != SEED_COLUMN]
 
     @cached_property
@@ -378,12 +378,12 @@ EXPERIMENT_LABELS = {
     "one_motion_C": "C, one first motion",
     "D_500_500": "D to (500, 500)",
     "wall": "A around the wall",
-}  # every experiment in the order of the page; "nine" pools three strings and targets
+}  # in the order of the page; "nine" combines three strings and three targets
 
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """A figure, and what it shows in words for readers who cannot see it."""
+    """A figure, and a description for screen readers."""
 
     figure: Figure = field(repr=False)
     alt: str
@@ -409,27 +409,27 @@ class PaperRecord:
     provenance: Mapping[str, Any] = field(repr=False)
 
     def rows_of(self, table: str, condition: str) -> pd.DataFrame:
-        """Return the rows of a table of one experiment."""
+        """Return the rows of one experiment in a table."""
         rows = self.tables[table]
         return rows[rows["condition"] == condition]
 
     def cast_rows(self, table: str, condition: str, number: int) -> pd.DataFrame:
-        """Return the rows of a table of one cast of the run that is drawn."""
+        """Return the rows of a cast of the drawn run in a table."""
         rows = self.rows_of(table, condition)
         return rows[rows["cast"] == number]
 
     def cast_numbers(self, condition: str) -> list[int]:
-        """Return the numbers of the casts of the run that is drawn, if one is done."""
+        """Return the numbers of the drawn run's casts; empty without a finished run."""
         return sorted(self.rows_of("lines", condition)["cast"].unique().tolist())
 
     def cast_verdict(self, condition: str, number: int) -> pd.Series:
-        """Return the row of table casts of one cast of the run that is drawn."""
+        """Return the row of table casts for a cast of the drawn run."""
         seed = self.rows_of("lines", condition)["seed"].iloc[0]
         rows = self.cast_rows("casts", condition, number)
         return rows[rows["seed"] == seed].iloc[0]
 
     @property
     def finished_experiments(self) -> list[str]:
-        """Experiments with a finished run, in their order."""
+        """Experiments with a finished run, in the order of the page."""
         finished = set(self.tables["rates"]["condition"])
         return [name for name in EXPERIMENT_LABELS if name in finished]

@@ -1,18 +1,18 @@
 "use strict";
-// The list of runs: sorted by a click on a heading, filtered by words, and its casts drawn over each other.
+// The list of runs: click on a heading to sort, filter by words; charts compare the casts.
 
 const list = document.querySelector(".runs"), body = list.querySelector("tbody");
 const rows = [...body.rows], wanted = list.querySelector("input[type=search]"), count = list.querySelector("output");
 const SVG = "http://www.w3.org/2000/svg", WIDTH = 520, HEIGHT = 240, LEFT = 52, BOTTOM = 34, MOST = 12;
 
-// The number of a cell, or its words.
+// The number or text of a cell.
 function key(row, column) {
   const words = row.cells[column].textContent.trim();
   return words !== "" && isFinite(words) ? Number(words) : words.toLowerCase();
 }
 
 function compare(a, b) {
-  if (a === "" || b === "") return (a === "") - (b === ""); // what is unknown comes last
+  if (a === "" || b === "") return (a === "") - (b === ""); // unknown values come last
   return typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b));
 }
 
@@ -33,7 +33,7 @@ list.querySelectorAll("thead th").forEach((heading, column) => {
   };
 });
 
-// Every word must be in the row; a word such as E>0.9 or casts<3 compares a number.
+// All words must be in the row; a word such as E>0.9 or casts<3 compares a number.
 function fits(row, word) {
   const bound = /^(\w+)([<>])([\d.]+)$/.exec(word);
   if (!bound) return row.textContent.toLowerCase().includes(word.toLowerCase());
@@ -62,7 +62,7 @@ function add(parent, name, attributes, words = "") {
   return made;
 }
 
-// Casts of the runs shown, over each other: closest approach and matching rate.
+// Closest approach and matching rate over the casts of the visible runs.
 function draw() {
   const casts = JSON.parse(list.querySelector("script").textContent);
   const runs = shown().map((row) => row.cells[1].textContent.trim()).filter((run) => casts[run]).slice(0, MOST);

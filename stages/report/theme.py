@@ -1,4 +1,4 @@
-"""Colours and style of pages, and figures as data URIs that follow light and dark."""
+"""Colours and style of pages, and figures as data URIs for light and dark themes."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from PIL import Image
 STYLE_SHEET = Path(__file__).parent / "theme.mplstyle"
 MS_PER_S = 1e3  # [ms] in a second
 WEBP_QUALITY = 50
-WEBP_METHOD = 1  # takes a third of the time of the default, for frames a tenth larger
-# Light and dark side of each colour. Data colours are those of Okabe and Ito, which
+WEBP_METHOD = 1  # a third of the time of the default, for frames a tenth larger
+# Light and dark version of each colour. Data colours are those of Okabe and Ito, which
 # people with any colour vision can distinguish.
 THEME = {
     "ink": ("#1f2733", "#e7ebf2"),
@@ -57,7 +57,7 @@ class Picture:
     source : str
         Data URI.
     alt : str
-        What it shows, for readers who cannot see it.
+        Description for screen readers.
     width, height : int
         Natural size [px].
     """
@@ -72,7 +72,7 @@ def svg_picture(figure: Figure, alt: str) -> Picture:
     """Draw a figure as an SVG that follows the reader's light or dark theme."""
     buffer = io.StringIO()
     figure.set_facecolor("none")
-    # the style sheet makes text of text; savefig would draw twice
+    # the style sheet keeps text as text; savefig would draw twice
     with style_context(STYLE_SHEET):
         FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
             buffer, metadata={"Date": None}
@@ -115,7 +115,7 @@ def data_uri(kind: str, content: bytes) -> str:
 
 
 def apply_theme(svg: str) -> str:
-    """Replace the colours of an SVG by variables of both themes, and shorten it."""
+    """Replace the colours of an SVG by theme variables, and shorten it."""
     for name, light in LIGHT_COLOURS.items():
         svg = svg.replace(light, f"var(--{name})")
     svg = _shorten(svg)
@@ -131,7 +131,7 @@ def apply_theme(svg: str) -> str:
 
 
 def _shorten(svg: str) -> str:
-    """Round positions to a hundredth of a point, and drop what is not visible."""
+    """Round positions to a hundredth of a point, and drop invisible content."""
     positions = r'(?<= )(?:d|x|y|transform)="[^"]*"'
     svg = re.sub(positions, lambda found: re.sub(r"(\.\d\d)\d+", r"\1", found[0]), svg)
     invisible = (

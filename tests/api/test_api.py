@@ -130,10 +130,10 @@ def test_arguments_override_the_known_string(motion, tmp_path):
 
 def test_diagnosis_is_shown_from_its_tables(tmp_path):
     """The tables are synthetic; other tests cover the diagnosis itself."""
-    from tests.report.test_diagnosis_page import diagnosed
+    from tests.report.test_diagnosis_page import make_diagnosis
 
     made = DiagnosisResult(
-        diagnosed("effect", ["tip_mass"]), experiment_for_call((), None)
+        make_diagnosis("effect", ["tip_mass"]), experiment_for_call((), None)
     )
     assert made.sentence in repr(made)
     assert made.verdict == made.document["verdict"]

@@ -12,7 +12,7 @@ import stringcast as sc
 from stringcast.answers import DiagnosisResult
 from stringcast.known import experiment_for_call
 from tests.api.make_notebook import NOTEBOOK, SCRIPT, notebook_text
-from tests.report.test_diagnosis_page import diagnosed
+from tests.report.test_diagnosis_page import make_diagnosis
 
 NEEDED = ("nbclient", "nbformat", "ipykernel")
 
@@ -28,7 +28,7 @@ def test_notebook_is_up_to_date_with_the_script():
 def test_notebook_script_runs_and_its_statements_hold(capsys, monkeypatch):
     """The diagnosis itself is replaced; other tests cover it."""
     stored = DiagnosisResult(
-        diagnosed("effect", ["tip_mass"]), experiment_for_call((), None)
+        make_diagnosis("effect", ["tip_mass"]), experiment_for_call((), None)
     )
     monkeypatch.setattr("stringcast.answers.diagnose", lambda trials: stored)
     made = runpy.run_path(str(SCRIPT))
@@ -54,20 +54,20 @@ def test_results_have_pictures_and_text():
     assert str(trials).count("200.0") == 5
     assert "200 frames a second" in trials._repr_html_()
     result = DiagnosisResult(
-        diagnosed("effect", ["tip_mass"]), experiment_for_call((), None)
+        make_diagnosis("effect", ["tip_mass"]), experiment_for_call((), None)
     )
     assert result._repr_html_().count("<tr") == 1 + len(result.causes)
     widest = max(map(len, str(result.causes.to_string()).splitlines()))
     assert widest <= 80
     assert "<svg" in result.plot()._repr_svg_()
-    artifact = diagnosed("effect", ["tip_mass"])
+    artifact = make_diagnosis("effect", ["tip_mass"])
     artifact.causes["at_least"] = True
     result = DiagnosisResult(artifact, result.experiment)
     assert (result.causes["high"] == float("inf")).all()
 
 
 def test_empty_diagnosis_cannot_be_drawn():
-    made = diagnosed("insufficient")
+    made = make_diagnosis("insufficient")
     artifact = replace(made, residuals=made.residuals[:0], held_out=made.held_out[:0])
     result = DiagnosisResult(artifact, experiment_for_call((), None))
     with pytest.raises(sc.StringcastError, match=r"print\(trials\)"):

@@ -1,7 +1,4 @@
-"""Chromium without a window, controlled through a pipe.
-
-It needs no driver and no network, and only the browser must be installed.
-"""
+"""Headless Chromium, controlled through a pipe, without a driver or a network."""
 
 import json
 import os
@@ -24,15 +21,12 @@ def find_chromium():
 
 
 def pages_are_skipped():
-    """Return whether there is no Chromium; where PAGES_MUST_OPEN is set, tests fail."""
+    """Return whether there is no Chromium; never if PAGES_MUST_OPEN is set."""
     return find_chromium() is None and not os.environ.get("PAGES_MUST_OPEN")
 
 
 class Browser:
-    """A browser with one page at a time.
-
-    `faults` holds the complaints of its console and its policy, as text.
-    """
+    """A browser with one page at a time; `faults` holds errors and warnings as text."""
 
     def __init__(self, to, said):
         self.to, self.said, self.number, self.faults, self.buffer = to, said, 0, [], b""
@@ -67,7 +61,7 @@ class Browser:
         return json.loads(message)
 
     def note(self, event):
-        """Note errors and warnings of scripts, of the policy and of the network."""
+        """Record errors and warnings of scripts, policy and network."""
         kind, given = event.get("method"), event.get("params", {})
         if kind == "Runtime.exceptionThrown":
             self.faults.append(
@@ -127,7 +121,7 @@ class Browser:
 
 @contextmanager
 def browser(folder):
-    """Start Chromium with its files in a folder, and end it afterwards."""
+    """Run Chromium with its files in a folder."""
     ours, theirs = os.pipe(), os.pipe()
     # Chromium reads its pipe from descriptor 3 and writes to 4
     shell = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'

@@ -1,4 +1,4 @@
-"""A page as a person and a browser read it."""
+"""Read a page as a reader and a browser see it."""
 
 import base64
 import json
@@ -11,7 +11,7 @@ VOID = {"meta", "img", "input", "br", "link"}
 
 
 class Page(HTMLParser):
-    """Elements, text a person sees, and scripts; raises where tags do not nest."""
+    """Elements, visible text and scripts of a page; raises if tags are not nested."""
 
     def __init__(self, text):
         super().__init__()
@@ -39,7 +39,7 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
     def drawings(self):
-        """Return the SVG pictures, by their words."""
+        """Return the SVG pictures by their descriptions."""
         return {
             image["alt"]: decode_image(image["src"]).decode()
             for image in self.all("img")
@@ -47,10 +47,7 @@ class Page(HTMLParser):
         }
 
     def explored(self):
-        """Return films and charts, parsed without NaN.
-
-        JSON.parse refuses NaN, too.
-        """
+        """Return the data of films and charts; NaN is refused, as by JSON.parse."""
         data = [
             json.loads(text, parse_constant=pytest.fail)
             for text in self.scripts
@@ -60,7 +57,7 @@ class Page(HTMLParser):
         return [one for one in data if "strings" in one], charts
 
     def require_complete(self):
-        """Fail if the page loads anything from elsewhere, or a drawing would."""
+        """Fail if the page or a drawing loads anything from elsewhere."""
         for tag, attributes in self.elements:
             assert tag not in {"link", "iframe"}
             assert tag != "script" or set(attributes) <= {"type"}
@@ -80,7 +77,7 @@ def decode_image(source):
 
 
 def fixed_colours(drawing):
-    """Return the colours of a drawing that do not follow the theme."""
+    """Return the colours of a drawing that are not theme colours."""
     drawn = re.sub(
         r":root{.*?}|<image[^>]*>|<defs>.*?</defs>", "", drawing, flags=re.DOTALL
     )

@@ -1,8 +1,4 @@
-"""The page of a diagnosis.
-
-It shows every verdict, is complete in itself, and has numbers as they are in the
-artifact.
-"""
+"""The page of a diagnosis is self-contained and correct for every verdict."""
 
 import itertools
 import json
@@ -90,9 +86,9 @@ UNCERTAIN = {"intervals": {}, "correlations": []}
 
 # --- a plausible diagnosis made by hand
 def measured(off=0.004, trials=2, frames=30):
-    """Return a straight string that swings.
+    """Return residuals of a straight, swinging string.
 
-    The base model is off to its right by `off` s/L, growing with time and trial.
+    The error of the base model to the right is `off` s/L, growing with time and trial.
     """
     rng = np.random.default_rng(1)
     t, s = (a.ravel() for a in np.meshgrid(np.arange(frames) * 0.01, S, indexing="ij"))
@@ -185,11 +181,8 @@ def displaced():
     )
 
 
-def diagnosed(verdict, names=(), sentence="So it is.", **tables):
-    """Return a diagnosis with everything that its verdict comes with.
-
-    Tables that are given replace its own.
-    """
+def make_diagnosis(verdict, names=(), sentence="So it is.", **tables):
+    """Return a diagnosis with the usual content of its verdict; `tables` replace its own."""
     causes = caused(names)
     document = {
         "format": 1,
@@ -270,17 +263,17 @@ def nothing_tried():
 
 
 VERDICTS = {
-    "none": lambda: diagnosed("none", **nothing_tried()),
-    "effect": lambda: diagnosed("effect", ["tip_mass"], entries=entry_rows()),
-    "pair": lambda: diagnosed("effect", ["tip_mass", "arm_lag"]),
-    "ambiguous": lambda: diagnosed("ambiguous", ["arm_lag", "time_offset"]),
-    "partial": lambda: diagnosed(
+    "none": lambda: make_diagnosis("none", **nothing_tried()),
+    "effect": lambda: make_diagnosis("effect", ["tip_mass"], entries=entry_rows()),
+    "pair": lambda: make_diagnosis("effect", ["tip_mass", "arm_lag"]),
+    "ambiguous": lambda: make_diagnosis("ambiguous", ["arm_lag", "time_offset"]),
+    "partial": lambda: make_diagnosis(
         "partial", ["tip_mass"], missing=displaced(), left="5.0 of 9.0 mm remain."
     ),
-    "unknown": lambda: diagnosed(
+    "unknown": lambda: make_diagnosis(
         "unknown", missing=displaced(), left="What is left looks like a force."
     ),
-    "insufficient": lambda: diagnosed(
+    "insufficient": lambda: make_diagnosis(
         "insufficient",
         left="there is one trial only",
         gain={"held_out_trials": []},
@@ -344,29 +337,29 @@ def pages(written):
 
 @pytest.fixture(scope="module")
 def shared_panels():
-    """Make the axes of maps once for each number of trials: making takes long."""
+    """Create the axes of maps once for each number of trials, because this is slow."""
     return cache(residual._map_panels)
 
 
 @pytest.fixture
 def page_of(write, undrawn, shared_panels, monkeypatch):
-    """Return a function that reads a page, whose pictures are only words."""
+    """Return a function that renders and reads a page without drawings."""
     monkeypatch.setattr(residual, "_map_panels", shared_panels)
     return lambda *given, **facts: Page(write(*given, **facts))
 
 
 def with_document(made, **parts):
-    """Return a diagnosis with other parts of its document."""
+    """Return a diagnosis with parts of its document replaced."""
     document = json.loads(made.finding["diagnosis"].iloc[0]) | parts
     return replace(made, finding=made.finding.assign(diagnosis=json.dumps(document)))
 
 
 # --- every verdict
-SAID = {
+EXPECTED_TEXTS = {
     "none": [
         "The simulation agrees with the measurements",
         "No cause found",
-        "less than the tolerance",
+        "below the tolerance",
     ],
     "effect": [
         "Found: tip mass",
@@ -424,10 +417,10 @@ SAID = {
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_each_verdict_is_said_with_its_numbers(pages, verdict):
+def test_page_has_texts_and_numbers_of_each_verdict(pages, verdict):
     page = pages[verdict]
     assert "So it is." in page.text
-    for words in SAID[verdict]:
+    for words in EXPECTED_TEXTS[verdict]:
         assert re.sub(r"\s+", " ", words) in page.text
     assert not re.search(r"\b(nan|inf|None|Undefined)\b", page.text)
 
@@ -440,7 +433,7 @@ def test_effects_of_the_configured_model_are_not_called_added(page_of, model):
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_the_page_needs_nothing_else(pages, verdict):
+def test_page_loads_nothing_from_elsewhere(pages, verdict):
     page = pages[verdict]
     page.require_complete()
     policy = next(m["content"] for m in page.all("meta") if "http-equiv" in m)
@@ -449,8 +442,8 @@ def test_the_page_needs_nothing_else(pages, verdict):
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
-    """Both ends of the colour scale are visible on light and on dark."""
+def test_every_picture_has_a_description_and_follows_the_theme(pages, verdict):
+    """Both ends of the colour scale are visible on light and dark pages."""
     scale = {to_hex(POSITIVE_COLOUR), to_hex(NEGATIVE_COLOUR)}
     for words, drawing in pages[verdict].drawings().items():
         assert len(words) > 30
@@ -462,27 +455,27 @@ def test_every_picture_has_words_and_follows_the_theme(pages, verdict):
 @pytest.mark.parametrize(
     ("verdict", "count"), [("none", 2), ("effect", 5), ("pair", 7), ("unknown", 4)]
 )
-def test_a_page_has_the_drawings_of_its_verdict(pages, verdict, count):
-    """A page has maps and sizes, and with causes more maps, laws and predictions."""
+def test_page_has_the_drawings_of_its_verdict(pages, verdict, count):
+    """A page has maps and residuals; with causes more maps, laws and predictions."""
     assert len(pages[verdict].all("img")) == count, [
         p["alt"] for p in pages[verdict].all("img")
     ]
 
 
-def test_the_same_record_gives_the_same_page(write, written):
+def test_same_record_gives_the_same_page(write, written):
     assert write(VERDICTS["partial"]()) == written["partial"]
 
 
-def test_what_data_say_cannot_become_code(page_of):
+def test_data_cannot_become_code(page_of):
     evil = "</p><img src=x onerror=alert(1)>"
-    made = diagnosed("none", sentence=evil, left=evil, rejected={evil: evil})
+    made = make_diagnosis("none", sentence=evil, left=evil, rejected={evil: evil})
     page = page_of(made, name=evil, settings={evil: evil})
     assert not [a for _, a in page.elements if "onerror" in a]
     assert page.text.count(evil) >= 6
 
 
-def test_the_budget_is_shown_where_there_is_one(page_of):
-    made = diagnosed("effect", ["tip_mass"])
+def test_error_budget_is_shown(page_of):
+    made = make_diagnosis("effect", ["tip_mass"])
     assert "Error budget" not in page_of(made).text
     unexplained = json.loads(made.finding["diagnosis"].iloc[0])["unexplained"]
     unexplained |= {
@@ -499,11 +492,11 @@ def test_the_budget_is_shown_where_there_is_one(page_of):
         assert words in re.sub(r"\s+", " ", text)
 
 
-def test_parameters_have_their_intervals_and_look_alikes_their_correlation(page_of):
+def test_intervals_of_parameters_and_correlation_of_lookalikes_are_shown(page_of):
     alike = pd.DataFrame(
         [("arm_lag", "time_offset", 0.9964)], columns=["effect", "other", "cosine"]
     )
-    made = diagnosed("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
+    made = make_diagnosis("ambiguous", ["arm_lag", "time_offset"], likeness=alike)
     base = {
         "parameters": {"linear_drag": 0.3},
         "intervals": {"linear_drag": [0.28, 0.33]},
@@ -519,48 +512,49 @@ def test_parameters_have_their_intervals_and_look_alikes_their_correlation(page_
         assert words in text
 
 
-def test_too_few_mass_points_have_no_parameter(page_of):
+def test_cause_without_parameters_is_shown(page_of):
     causes = caused(["tip_mass"]).assign(
         effect="resolution", parameter="", value=np.nan, low=np.nan, high=np.nan
     )
-    made = diagnosed("effect", causes=causes, sentence="It has too few mass points.")
+    made = make_diagnosis(
+        "effect", causes=causes, sentence="It has too few mass points."
+    )
     page = page_of(made)
     assert "The maps are those of 17 mass points instead of 10" in page.text
     assert not re.search(r"\bnan\b", page.text)
 
 
-def test_nothing_measured_has_a_page(page_of):
+def test_diagnosis_without_residuals_has_a_page(page_of):
     empty = {
         name: Diagnosis.TABLES[name].empty()
         for name in ("residuals", "hypotheses", "held_out")
     }
     nothing = {"gain": {"held_out_trials": []}, **nothing_tried(), **empty}
-    page = page_of(diagnosed("insufficient", **nothing))
+    page = page_of(make_diagnosis("insufficient", **nothing))
     assert "Nothing was measured that could be compared." in page.text
     assert page.all("img") == []
 
 
-def test_an_interrupted_search_is_said_to_be(page_of):
+def test_interrupted_search_is_stated(page_of):
     left = "The search for causes was interrupted, when it had come to none."
-    made = diagnosed("insufficient", left=left)
+    made = make_diagnosis("insufficient", left=left)
     said = page_of(with_document(made, interrupted=True)).text
     assert "No cause is named, because the search is incomplete." in said
     assert "do not allow a diagnosis" not in said
     assert "requires more data" not in said
 
 
-def test_a_search_is_described_where_there_was_one(page_of):
-    said = page_of(diagnosed("unknown", left="What is left looks like a force.")).text
+def test_search_is_described_only_if_there_was_one(page_of):
+    said = page_of(
+        make_diagnosis("unknown", left="What is left looks like a force.")
+    ).text
     assert "too small for a search" not in said
     assert "The effect with the most evidence is added" in said
     assert "without the strongest trial" in said
 
 
-def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
-    """No two words on a map overlap.
-
-    Names of trials may be longer than a row is high.
-    """
+def test_texts_on_a_map_do_not_overlap(model, monkeypatch):
+    """Names of trials may be longer than the height of a row."""
     monkeypatch.setattr(
         sys.modules[residual_maps.__module__], "svg_picture", lambda figure, alt: figure
     )
@@ -571,7 +565,9 @@ def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
     table = measured().replace({"trial": names})
     with style.context(STYLE_SHEET):
         figure = residual_maps(
-            DiagnosisRecord(diagnosed("effect", ["tip_mass"], residuals=table), model),
+            DiagnosisRecord(
+                make_diagnosis("effect", ["tip_mass"], residuals=table), model
+            ),
             "base",
         )
         figure.draw_without_rendering()
@@ -588,9 +584,11 @@ def test_no_two_words_on_a_map_lie_on_one_another(model, monkeypatch):
         assert not one.overlaps(other)
 
 
-def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(page_of):
+def test_worst_trials_and_best_hypotheses_are_shown(page_of):
     many = {"residuals": measured(trials=MAX_DRAWN_TRIALS + 4)}
-    page = page_of(diagnosed("effect", ["tip_mass"], hypotheses=hypotheses(40), **many))
+    page = page_of(
+        make_diagnosis("effect", ["tip_mass"], hypotheses=hypotheses(40), **many)
+    )
     drawn = {a["aria-label"].split()[4] for tag, a in page.elements if tag == "canvas"}
     assert drawn == {f"t{number:02d}" for number in range(4, MAX_DRAWN_TRIALS + 4)}
     assert (
@@ -600,30 +598,30 @@ def test_of_many_trials_the_worst_are_drawn_and_of_many_hypotheses_the_best(page
     )
 
 
-def test_a_probable_hypothesis_is_shown_even_if_many_have_more_evidence(page_of):
+def test_probable_hypothesis_is_always_shown(page_of):
     table = hypotheses(40)
     is_found = table["causes"] == "tip_mass"
     table.loc[is_found, "fit_gain"] = 50.0
     table.loc[table["causes"] == "wind + other5", "probability"] = np.nan
-    page = page_of(diagnosed("effect", ["tip_mass"], hypotheses=table))
+    page = page_of(make_diagnosis("effect", ["tip_mass"], hypotheses=table))
     hidden = page.text.index("27 more")
     start = page.text.index("Fitted hypotheses")
     assert start < page.text.index("tip mass", start) < hidden
     assert "50 % " in page.text[page.text.index("wind + other5 ") :]
 
 
-def test_an_unknown_cause_is_in_addition_to_those_that_are_named(page_of):
-    named = page_of(diagnosed("effect", ["tip_mass"])).text
+def test_unknown_cause_is_named_as_an_addition(page_of):
+    named = page_of(make_diagnosis("effect", ["tip_mass"])).text
     assert "in addition, a cause that the library does not contain" in named
-    unnamed = page_of(diagnosed("unknown", [])).text
+    unnamed = page_of(make_diagnosis("unknown", [])).text
     assert "in addition, a cause" not in unnamed
 
 
 # --- truth of the pictures
-def test_only_a_cause_that_is_told_from_all_others_is_marked_as_likely(page_of):
+def test_only_a_distinguishable_cause_is_marked_as_likely(page_of):
     def marks(verdict, names):
         causes = caused(names, probability=0.6 * len(names))
-        page = page_of(diagnosed(verdict, names, causes=causes))
+        page = page_of(make_diagnosis(verdict, names, causes=causes))
         classes = [a.get("class", "").split() for _, a in page.elements]
         return sum("badge" in each and "good" in each for each in classes)
 
@@ -631,7 +629,7 @@ def test_only_a_cause_that_is_told_from_all_others_is_marked_as_likely(page_of):
     assert marks("ambiguous", ["arm_lag", "time_offset"]) == 0
 
 
-def test_no_cell_of_a_map_reaches_beyond_the_string():
+def test_cells_of_a_map_end_with_the_string():
     t = np.repeat(np.arange(3) * 0.01, 2)
     for s in ([0.16, 0.32], [0.32, 0.32]):
         _, axes = new_axes(1.0, 1.0)
@@ -639,7 +637,7 @@ def test_no_cell_of_a_map_reaches_beyond_the_string():
         assert axes.get_ylim() == pytest.approx((axes.get_ylim()[0], 320.0))
 
 
-def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
+def test_residual_components_agree_with_the_table():
     table = measured()
     base = residual_components(table, "base")
     extended = residual_components(table, "extended")
@@ -654,7 +652,7 @@ def test_parts_of_the_residual_are_those_of_the_table_and_keep_its_size():
     assert np.abs(extended["normal"]).max() < 5
 
 
-def test_parts_where_measured_and_simulated_meet_exactly():
+def test_residual_components_of_a_zero_residual():
     table = measured().assign(base_normal=0.0, base_tangential=0.0)
     met = table.assign(x=table["base_x"], y=table["base_y"])
     assert all(
@@ -664,14 +662,14 @@ def test_parts_where_measured_and_simulated_meet_exactly():
     assert not np.any(residual_components(met, "base")["normal"])
 
 
-def test_the_worst_frame_is_not_that_of_an_outlier():
+def test_worst_frame_ignores_outliers():
     table = measured(off=0.02, trials=1)
     table.loc[(table["t"] == 0) & (table["s"] == S[2]), "x"] += 0.5
     assert worst_frame(table)["t"].iloc[0] > 0.25
     assert list(worst_frame(table)["s"]) == list(S)
 
 
-def test_frames_without_a_tip_say_nothing_of_it():
+def test_frames_without_a_tip_are_omitted_from_its_path():
     table = measured(trials=1)
     hidden = table[~((table["t"] == 0.1) & (table["s"] > 0.2))]
     ends = tip_points(hidden)
@@ -679,11 +677,8 @@ def test_frames_without_a_tip_say_nothing_of_it():
     assert set(ends["s"]) == {S[-1]}
 
 
-def test_rms_of_noise_alone_is_the_noise_floor():
-    """The rms of noise alone is the noise floor.
-
-    It is of both coordinates; 360 of them scatter by 4 %.
-    """
+def test_rms_of_noise_is_the_noise_floor():
+    """The rms is over both coordinates; 360 of them scatter by 4 %."""
     assert trial_rms(measured(), "extended").to_numpy() == pytest.approx(
         np.sqrt(2) * SIGMA, rel=0.15
     )
@@ -734,14 +729,14 @@ def test_rms_of_noise_alone_is_the_noise_floor():
         ),
     ],
 )
-def test_values_have_the_figures_that_their_interval_is_worth(
+def test_values_have_as_many_figures_as_their_interval_justifies(
     unit, value, low, high, at_least, words, between
 ):
     row = {"unit": unit, "value": value, "low": low, "high": high, "at_least": at_least}
     assert format_quantity(row) == (words, between)
 
 
-def test_shares_and_gains_are_written_for_people():
+def test_shares_and_gains_are_readable():
     assert [format_percent(p) for p in (0.0, 0.004, 0.58, 0.9994, 1.0)] == [
         "under 1 %",
         "under 1 %",
@@ -756,7 +751,7 @@ def test_shares_and_gains_are_written_for_people():
     ]
 
 
-def test_a_certain_cause_beside_look_alikes():
+def test_certain_cause_in_addition_to_lookalikes():
     causes = [{"effect": name} for name in ("wind", "arm_lag", "time_offset")]
     document = {
         "verdict": "ambiguous",
@@ -770,9 +765,9 @@ def test_a_certain_cause_beside_look_alikes():
 
 
 def predicted(off=0.005):
-    """Return a straight string on two hypotheses.
+    """Return a straight string under two hypotheses, which differ at the tip at 0.2 s.
 
-    They are `off` apart at its tip at 0.2 s and nowhere else.
+    off: difference [m].
     """
     t, s = (a.ravel() for a in np.meshgrid([0.0, 0.1, 0.2], S, indexing="ij"))
     away = np.where((t == 0.2) & (s == S[-1]), off, 0.0)
@@ -783,32 +778,30 @@ def predicted(off=0.005):
     )
 
 
-def test_the_motion_proposed_is_shown_where_the_hypotheses_are_farthest_apart(page_of):
+def test_proposed_motion_is_shown_where_hypotheses_differ_most(page_of):
     alike = ["arm_lag", "time_offset"]
     following = {"sentence": "One of 300 motions tells them apart."}
-    made = diagnosed("ambiguous", alike, following=following, predicted=predicted())
+    made = make_diagnosis(
+        "ambiguous", alike, following=following, predicted=predicted()
+    )
     page = page_of(made)
     assert following["sentence"] in page.text
     words = " ".join(image["alt"] for image in page.all("img"))
     assert "The proposed motion at 200" in words
     assert "time offset 5.0" in words
-    made = diagnosed("ambiguous", alike, following={"sentence": "No motion."})
+    made = make_diagnosis("ambiguous", alike, following={"sentence": "No motion."})
     hopeless = page_of(made)
     assert "No motion." in hopeless.text
     assert not any("proposed" in image["alt"] for image in hopeless.all("img"))
     assert "Next experiment" not in page_of(VERDICTS["effect"]()).text
 
 
-def test_a_trial_that_is_predicted_worse_is_said_to_be(page_of):
-    """A trial that is predicted worse is reported.
-
-    A plane that one trial alone reaches is no use elsewhere; nor is a false cause. Both
-    explain the trials they are fitted to, so nothing more is claimed.
-    """
+def test_trial_predicted_worse_with_causes_is_reported(page_of):
+    """A cause that only one trial shows looks like a false cause, so both are named."""
     table = held_out()
 
     def text(**columns):
-        made = diagnosed("effect", ["tip_mass"], held_out=table.assign(**columns))
+        made = make_diagnosis("effect", ["tip_mass"], held_out=table.assign(**columns))
         return page_of(made).text
 
     worse = {"rms_extended": [0.0537, 0.0010]}
@@ -826,18 +819,14 @@ def test_a_trial_that_is_predicted_worse_is_said_to_be(page_of):
         assert "worse" not in text(**columns)
 
 
-def test_it_says_which_trials_the_gain_is_of(page_of):
-    """The page names the trials of the gain.
-
-    They were held out, or left out of the fit in turn. An unknown rate is not given as
-    a number.
-    """
-    turn = page_of(diagnosed("effect", ["tip_mass"])).text
+def test_page_states_which_trials_the_gain_refers_to(page_of):
+    """They were held out, or left out of the fit in turn; an unknown rate has no number."""
+    turn = page_of(make_diagnosis("effect", ["tip_mass"])).text
     assert "Each trial was predicted by both models fitted to the others." in turn
     assert "chosen from all trials" in turn
     unknown = {"matching_rate": {"base": None, "extended": None}}
     told = GAIN | {"held_out_trials": ["t07"]} | unknown
-    aside = page_of(diagnosed("effect", ["tip_mass"], gain=told)).text
+    aside = page_of(make_diagnosis("effect", ["tip_mass"], gain=told)).text
     assert (
         "These trials were excluded from the search and predicted by both models fitted to the others."
         in aside

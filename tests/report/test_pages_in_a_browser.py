@@ -1,7 +1,4 @@
-"""Every page in a real Chromium without a network.
-
-The browser complains of nothing, and interactive elements respond.
-"""
+"""All pages open in Chromium without errors, and interactive elements respond."""
 
 import json
 import shlex
@@ -28,7 +25,7 @@ from stringcast.stages.report.pages.sweep import sweep_page
 from stringcast.stages.report.pages.tables import tables_page
 from stringcast.stages.report.records import PaperRecord, StageRecord
 from tests.report.browser import browser, pages_are_skipped
-from tests.report.test_diagnosis_page import diagnosed, displaced
+from tests.report.test_diagnosis_page import displaced, make_diagnosis
 from tests.report.test_report import record_of, simulated_cast
 from tests.report.test_sweep_page import record as sweep_record
 from tests.report.test_sweep_page import swept
@@ -86,12 +83,12 @@ def _names(kind):
 
 
 def texts(arm, camera):
-    """Return every kind of page, with little content."""
+    """Return a small page of every kind."""
     camera = replace(
         camera, width=320, height=320, px_per_m=170.0, origin_px=(125.5, 193.5)
     )
     coarse = Model(String(0.3), arm, camera)
-    told = diagnosed("effect", ["tip_mass"], missing=displaced())
+    told = make_diagnosis("effect", ["tip_mass"], missing=displaced())
     prediction = Prediction(
         **{name: table.empty() for name, table in Prediction.TABLES.items()}
     )
@@ -153,10 +150,7 @@ def texts(arm, camera):
 
 @pytest.fixture(scope="module")
 def pages(arm, camera, tmp_path_factory):
-    """Return paths of the pages by name.
-
-    Their drawings are empty, because other tests cover them.
-    """
+    """Return paths of the pages by name; drawings are empty and tested elsewhere."""
     folder = tmp_path_factory.mktemp("the arm's pages")
     empty = SimpleNamespace(print_svg=lambda data, metadata: data.write("<svg></svg>"))
     with pytest.MonkeyPatch.context() as patch:
@@ -191,9 +185,7 @@ def place(chromium, selector):
     "name",
     ["cast", "diagnosis", "sweep", "alignment", "tables", "index", "paper", "check"],
 )
-def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(
-    chromium, pages, name
-):
+def test_page_opens_on_a_phone_in_dark_mode_without_errors(chromium, pages, name):
     page = opened(chromium, pages[name], width=PHONE, height=740, dark=True)
     assert page.ask("document.documentElement.scrollWidth") == PHONE, (
         "it can be pushed sideways"
@@ -205,7 +197,7 @@ def test_a_page_opens_on_a_phone_in_the_dark_and_nothing_is_complained_of(
     assert page.faults == []
 
 
-def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
+def test_outcomes_of_runs_are_visible_on_a_phone(chromium, pages):
     page = opened(chromium, pages["index"], width=PHONE, height=740)
     cells = (
         "[...document.querySelectorAll('.runs tbody tr:first-child td')].slice(0, 2)"
@@ -216,7 +208,7 @@ def test_a_list_of_runs_says_on_a_phone_which_ended_how(chromium, pages):
     )
 
 
-def test_runs_are_sorted_filtered_and_drawn_over_each_other(chromium, pages):
+def test_runs_are_sorted_filtered_and_charted(chromium, pages):
     page = opened(chromium, pages["index"])
     names = "shown().map(row => row.cells[1].textContent.trim())"
     assert page.ask(names) == ["a/b", "a/c", "a/d"]
@@ -239,12 +231,8 @@ def test_runs_are_sorted_filtered_and_drawn_over_each_other(chromium, pages):
     assert page.faults == []
 
 
-def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
-    """A moment pointed at in one curve is shown in all.
-
-    It appears in the film's string, every curve of the cast, and the clock, but not in
-    those of the other cast.
-    """
+def test_pointing_at_a_curve_moves_the_clock_of_its_cast(chromium, pages):
+    """Film, curves and clock of the cast follow, and those of the other cast do not."""
     page = opened(chromium, pages["cast"])
     before = page.ask("groups.map(g => g.members[0].index)")
     left, top, width, height = place(page, ".u-over")
@@ -264,7 +252,7 @@ def test_what_is_pointed_at_in_one_curve_is_shown_in_all(chromium, pages):
     assert page.faults == []
 
 
-def test_a_stretch_that_is_dragged_over_is_zoomed_to_in_all(chromium, pages):
+def test_dragging_zooms_all_curves(chromium, pages):
     page = opened(chromium, pages["diagnosis"])
     whole = page.ask("groups[0].members.filter(m => m.plot).map(m => m.range())")
     left, top, width, height = place(page, ".u-over")
@@ -289,8 +277,8 @@ def test_a_stretch_that_is_dragged_over_is_zoomed_to_in_all(chromium, pages):
     assert page.faults == []
 
 
-def test_a_diagnosis_begins_with_the_string_moving(chromium, pages):
-    """The film in the first screen plays by itself, again and again, until a pause."""
+def test_page_of_a_diagnosis_starts_with_a_playing_film(chromium, pages):
+    """The film on the first screen plays in a loop until it is paused."""
     page = opened(chromium, pages["diagnosis"])
     top = page.ask("document.querySelector('canvas').getBoundingClientRect().top")
     assert top < 600
@@ -310,7 +298,7 @@ def test_a_diagnosis_begins_with_the_string_moving(chromium, pages):
     assert page.faults == []
 
 
-def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
+def test_film_plays_and_differences_can_be_magnified(chromium, pages):
     page = opened(chromium, pages["diagnosis"])
     page.ask("window.box = document.querySelectorAll('.explore')[1]")
     drawn = "box.querySelector('canvas').toDataURL()"
@@ -329,7 +317,7 @@ def test_a_film_plays_and_its_differences_can_be_enlarged(chromium, pages):
     assert page.faults == []
 
 
-def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
+def test_next_commands_contain_the_folder_of_the_page(chromium, pages):
     page = opened(chromium, pages["cast"])
     command = page.ask("document.querySelector('.commands dd').textContent")
     folder = shlex.quote(str(pages["cast"].parent))
@@ -338,8 +326,8 @@ def test_what_is_next_names_the_folder_in_which_the_page_lies(chromium, pages):
 
 @pytest.mark.parametrize("width", [PHONE, 1060])
 @pytest.mark.parametrize("name", ["cast", "diagnosis"])
-def test_no_curve_is_missing_in_a_legend(chromium, pages, name, width):
-    """Legends of one to five rows lie within their charts."""
+def test_legends_lie_within_their_charts(chromium, pages, name, width):
+    """Legends have one to five rows."""
     page = opened(chromium, pages[name], width=width)
     bottoms = "[...document.querySelectorAll('.plot')].map(e => [e, e.querySelector('.u-legend')].map(b => b.getBoundingClientRect().bottom))"
     page.wait(f"{bottoms}.every(([plot, legend]) => legend <= plot + 1)")
@@ -347,7 +335,7 @@ def test_no_curve_is_missing_in_a_legend(chromium, pages, name, width):
     assert min(page.ask(heights)) >= 120
 
 
-def test_curves_follow_the_theme_and_are_on_paper(chromium, pages):
+def test_curves_follow_the_theme_and_are_printed(chromium, pages):
     page = opened(chromium, pages["cast"])
     light = page.ask("groups[0].members[1].plot.series[1].stroke()")
     page.call(

@@ -1,7 +1,4 @@
-"""The page of a run.
-
-It is complete in itself, draws things where they really are, and says what is missing.
-"""
+"""The page of a run is self-contained and correct, and states what is missing."""
 
 import base64
 import hashlib
@@ -142,7 +139,7 @@ def estimated(rng, t, symbols=STRING.parameters):
 
 
 def simulated_cast(arm, camera, number=1, hit=False, noise=6.0):
-    """Return a cast whose simulation after estimation is exactly what was filmed."""
+    """Return a cast whose simulation after estimation agrees exactly with the film."""
     rng = np.random.default_rng(number)
     t = np.arange(-0.1, DURATION + 0.1, 0.01)
     true, before = strings(arm, t, 0.9), strings(arm, t, 0.4 / number)
@@ -206,7 +203,7 @@ def simulated_cast(arm, camera, number=1, hit=False, noise=6.0):
 
 @pytest.fixture(scope="module")
 def small(camera):
-    """Return the default camera at a quarter of its size, with a lens that bends."""
+    """Return the default camera at a quarter of its size, with a distorting lens."""
     u, v = camera.origin_px
     sizes = {
         "width": camera.width // 4,
@@ -254,15 +251,12 @@ def page(record):
 
 
 # --- a complete page
-def test_nothing_is_loaded_from_elsewhere(page):
+def test_page_loads_nothing_from_elsewhere(page):
     page.require_complete()
 
 
-def test_the_policy_admits_two_scripts_and_no_other(page):
-    """The policy admits two scripts and no other.
-
-    A wrong hash would silently disable films and curves.
-    """
+def test_policy_allows_only_the_scripts_of_the_page(page):
+    """A wrong hash would silently disable films and curves."""
     policy = next(m["content"] for m in page.all("meta") if "http-equiv" in m)
     digests = [
         base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -272,7 +266,7 @@ def test_the_policy_admits_two_scripts_and_no_other(page):
     assert "default-src 'none'" in policy
 
 
-def test_every_picture_has_words_and_a_size(page, record):
+def test_every_picture_has_a_description_and_a_size(page, record):
     images = page.all("img")
     casts = len(record.casts)
     assert len(images) == len(STRING.parameters) + 1 + casts * 3
@@ -291,14 +285,14 @@ def test_every_picture_has_words_and_a_size(page, record):
             )
 
 
-def test_every_colour_of_a_figure_has_a_dark_side(page):
+def test_every_colour_of_a_figure_has_a_dark_version(page):
     for words, drawing in page.drawings().items():
         assert "var(--ink)" in drawing or "var(--soft)" in drawing
         assert not fixed_colours(drawing), words
     assert len({light for light, _ in THEME.values()}) == len(THEME)
 
 
-def test_the_name_of_a_trial_is_never_mathematics():
+def test_name_of_a_trial_is_not_parsed_as_mathematics():
     name = r"$\bad{0$"  # matplotlib would stop here with a traceback
     with style.context(STYLE_SHEET):
         figure = Figure()
@@ -307,15 +301,15 @@ def test_the_name_of_a_trial_is_never_mathematics():
 
 
 def test_text_of_a_figure_stays_text():
-    """As outlines, whose scale would be rounded, it was too small to be read."""
+    """Text as outlines, with a rounded scale, would be too small to read."""
     figure = Figure()
     figure.subplots().set_xlabel("time [s]")
     drawn = decode_image(svg_picture(figure, "A figure.").source).decode()
     assert "time [s]</text>" in drawn
 
 
-def test_no_label_is_cut_off(record, monkeypatch):
-    """No label is cut off, and no legend covers the axes."""
+def test_labels_lie_inside_figures_and_legends_outside_axes(record, monkeypatch):
+    """Each distinct figure is measured once."""
     figures, drawn = [], FigureCanvasSVG.print_svg
     monkeypatch.setattr(
         FigureCanvasSVG,
@@ -329,14 +323,14 @@ def test_no_label_is_cut_off(record, monkeypatch):
         * 4,
     )
     with style.context(STYLE_SHEET):
-        shown = (
+        shown_images = (
             hand_paths_picture(many),
             cast_path_picture(record, cast),
             distance_map(record, cast, 0.02),
         )
-        shown += (history_picture(STRING.parameters[0], record.estimates),)
-    unique_figures = list(dict.fromkeys(figures))  # measuring a figure prints it again
-    assert len(unique_figures) == len(shown)
+        shown_images += (history_picture(STRING.parameters[0], record.estimates),)
+    unique_figures = list(dict.fromkeys(figures))  # measuring a figure draws it again
+    assert len(unique_figures) == len(shown_images)
     for figure in unique_figures:
         inside, whole = figure.get_tightbbox(), figure.get_size_inches()
         assert (inside.min >= -0.01).all(), figure.axes[0].get_ylabel()
@@ -349,12 +343,12 @@ def test_no_label_is_cut_off(record, monkeypatch):
         )
 
 
-def test_the_same_record_gives_the_same_page(record):
+def test_same_record_gives_the_same_page(record):
     one = replace(record, casts=record.casts[:1])
     assert cast_page(one) == cast_page(one)
 
 
-def test_what_data_say_cannot_become_code(arm, small, undrawn):
+def test_data_cannot_become_code(arm, small, undrawn):
     evil = "</script><img src=x onerror=alert(1)>"
     cast = simulated_cast(arm, small)
     cast.points.readings.loc[5, "reason"] = evil
@@ -366,7 +360,7 @@ def test_what_data_say_cannot_become_code(arm, small, undrawn):
 
 
 # --- positions in the pictures
-def shown(data):
+def shown_images(data):
     """Yield the player's frames as a browser shows them."""
     for source in data["frames"]:
         image = cv2.imdecode(
@@ -378,10 +372,7 @@ def shown(data):
 
 
 def brightness(images, lines, shift=0.0):
-    """Return the mean brightness along the strings of the player.
-
-    The strings are moved by `shift` of its pixels.
-    """
+    """Return the mean brightness along strings of the player, shifted by `shift` [px]."""
     places = [
         (np.array(line)[None, 1:] + shift - 0.5).astype(np.float32) for line in lines
     ]
@@ -393,12 +384,8 @@ def brightness(images, lines, shift=0.0):
     )
 
 
-def test_the_player_draws_the_simulation_on_the_filmed_string(record):
-    """The player draws the simulation on the filmed string.
-
-    The strings after estimation are the filmed ones: moved to any side, the film under
-    them is darker.
-    """
+def test_player_draws_the_simulation_on_the_filmed_string(record):
+    """Strings after estimation are the filmed ones; beside them the film is darker."""
     data = cast_film_data(record, record.casts[0], region_of_run(record))
     assert (
         len(data["frames"])
@@ -408,7 +395,7 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
     )
     assert np.all(np.diff(data["t"]) > 0)
     assert abs(data["t"][data["start"]] - 252) <= 5
-    images, after = list(shown(data)), data["strings"]["after"]
+    images, after = list(shown_images(data)), data["strings"]["after"]
     shifts = np.stack(np.meshgrid(*[np.arange(-9, 10, 3)] * 2), axis=-1).reshape(-1, 2)
     bright = np.array([brightness(images, after, shift) for shift in shifts])
     beside = shifts[bright > 0.95 * bright.max()].mean(axis=0)
@@ -421,7 +408,7 @@ def test_the_player_draws_the_simulation_on_the_filmed_string(record):
     )
 
 
-def test_pictures_draw_world_points_where_the_camera_sees_them(record, small):
+def test_pictures_draw_world_points_at_their_pixels(record, small):
     cast, part = record.casts[0], region_of_run(record)
     place = cast.after[20, -1]
     image = np.zeros((small.height, small.width), np.uint8)
@@ -458,7 +445,7 @@ def test_residuals_are_distances_at_equal_arc_length(record):
     assert set(shifted["frame"]) == set(read.tolist())
 
 
-def test_the_tips_way_is_not_guessed_across_long_gaps(record):
+def test_tip_path_is_not_interpolated_across_long_gaps(record):
     cast = record.casts[0]
     readings = cast.points.readings.copy()
     gap = (readings["t"] > 0.1) & (readings["t"] < 0.1 + 2 * MAX_GAP_S)
@@ -472,18 +459,18 @@ def test_the_tips_way_is_not_guessed_across_long_gaps(record):
     )
 
 
-def test_parameters_of_effects_are_named_for_people():
+def test_parameters_of_effects_have_readable_names():
     assert readable_name("tip_mass.ratio") == "tip mass: ratio"
     assert readable_name("axial_stiffness") == "axial stiffness"
 
 
-def test_numbers_are_those_of_the_run(page):
+def test_page_has_the_numbers_of_the_run(page):
     for words in (
         "24 mm",
         "4 mm closest distance",
         "0.400 → 0.900",
         "45.6 mm → 12.3 mm",
-        "without the error of the mesh, 2.1 mm, that charts show",
+        "without the error of the mesh, 2.1 mm, which charts include",
         "at 252 ms of a movement",
         "a joint leaves its range",
         "4320",
@@ -592,7 +579,7 @@ def unreported(cast):
         ),
     ],
 )
-def test_what_is_missing_is_said(arm, small, undrawn, spoil, words):
+def test_missing_data_are_stated(arm, small, undrawn, spoil, words):
     page = Page(cast_page(record_of(arm, small, [spoil(simulated_cast(arm, small))])))
     for word in words:
         assert word in re.sub(r"\s+([.:,])", r"\1", page.text)
@@ -601,7 +588,7 @@ def test_what_is_missing_is_said(arm, small, undrawn, spoil, words):
     assert len(films) == len(page.all("canvas"))
 
 
-def test_estimation_alone_has_a_page(arm, small, undrawn):
+def test_estimation_from_stored_trials_has_a_page(arm, small, undrawn):
     cast = simulated_cast(arm, small)
     page = Page(
         cast_page(
@@ -628,8 +615,8 @@ def test_estimation_alone_has_a_page(arm, small, undrawn):
     assert "Cast 1" not in page.text
 
 
-def test_a_look_before_the_first_cast_has_its_own_section(arm, small, undrawn):
-    """It shows what it taught and its film, and no distance from the target."""
+def test_look_has_its_own_section(arm, small, undrawn):
+    """It shows estimate and film, but no distance from the target."""
     cast = simulated_cast(arm, small)
     seen = replace(cast, verdict=HitResult.unknown())
     estimates = seen.estimate, cast.estimate
@@ -647,18 +634,15 @@ def test_a_look_before_the_first_cast_has_its_own_section(arm, small, undrawn):
     assert sum(len(data["frames"]) for data in films) <= MAX_PAGE_FRAMES
     unseen = replace(seen, estimate=None)
     nothing = record_of(arm, small, [cast], look=unseen, estimates=(cast.estimate,))
-    assert "Nothing was learned from it" in Page(cast_page(nothing)).text
+    assert "Nothing was estimated from it" in Page(cast_page(nothing)).text
     assert (
         "Look at the string" not in Page(cast_page(replace(with_look, look=None))).text
     )
 
 
 # --- pages of one cast to ten
-def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
-    """Ten casts share the frames of the animation.
-
-    One and two casts are covered by the tests above.
-    """
+def test_ten_casts_share_the_frames_of_the_page(arm, small, undrawn):
+    """One and two casts are covered by the tests above."""
     page = Page(
         cast_page(
             record_of(
@@ -673,11 +657,11 @@ def test_ten_casts_share_the_frames_of_the_animation(arm, small, undrawn):
     )
 
 
-def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
-    """A page of five noisy casts stays below 1.5 MB.
+def test_page_of_five_noisy_casts_stays_small(arm, camera):
+    """The page stays below 1.5 MB.
 
-    Scripts, words and drawings are up to 0.65 MB. The rest is what noise makes large,
-    here at its worst.
+    Scripts, text and drawings are up to 0.65 MB. The rest are frames, here with the
+    strongest noise.
     """
     cast = simulated_cast(arm, camera, noise=25.0)
     record = record_of(arm, camera, [cast] * 5)
@@ -686,12 +670,12 @@ def test_a_page_of_five_noisy_casts_stays_small(arm, camera):
 
 
 @pytest.mark.long
-def test_a_page_of_ten_casts_is_at_most_as_large_as_promised(arm, camera):
+def test_page_of_ten_casts_stays_small(arm, camera):
     text = cast_page(record_of(arm, camera, [simulated_cast(arm, camera)] * 10))
     assert 0.8e6 < len(text.encode()) < 1.5e6  # the page holds all pictures
 
 
-def test_the_closest_frame_is_always_among_the_chosen(record):
+def test_chosen_frames_include_the_closest(record):
     cast = record.casts[0]
     for most in (2, 7, 24, 500):
         chosen = choose_frames(cast, most)
@@ -700,8 +684,8 @@ def test_the_closest_frame_is_always_among_the_chosen(record):
         assert chosen == sorted(set(chosen))
 
 
-def test_what_was_not_learnt_is_said_to_be(page):
-    """A parameter that is not determined, here that of index 2, is reported as such."""
+def test_undetermined_parameters_are_marked(page):
+    """The parameter with index 2 is not determined."""
     names = [p.name.replace("_", " ") for p in STRING.parameters]
     starts = [page.text.rindex(f"{name} ") for name in names]
     words = [
@@ -711,12 +695,8 @@ def test_what_was_not_learnt_is_said_to_be(page):
     assert ["no" in row for row in words[:3]] == [False, False, True]
 
 
-def test_curves_are_those_of_the_run(page, record):
-    """Curves are those of the run.
-
-    Gaps are gaps, times are those of the frames, and the curves of a cast are of that
-    cast.
-    """
+def test_curves_have_the_data_of_their_cast(page, record):
+    """Gaps are kept, and times are those of the frames."""
     _, charts = page.explored()
     titles = ("matching rate E", "RMS [mm]", "angle [°]", "difference [°]")
     assert [chart["axis"] for chart in charts] == [*titles] * len(record.casts)
@@ -742,8 +722,8 @@ def test_curves_are_those_of_the_run(page, record):
         ({}, ""),
     ],
 )  # fmt: skip
-def test_a_page_says_whether_its_data_are_simulated(settings, said):
-    """Stored trials are not those of the virtual lab that the settings name."""
+def test_page_states_the_source_of_its_data(settings, said):
+    """Stored trials take precedence over the virtual lab in the settings."""
     page = ReportPage(
         "cast", "a", "So.", "So.", [], {"code": {"commit": "0"}}, settings
     )

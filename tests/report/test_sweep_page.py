@@ -1,8 +1,4 @@
-"""The page of a sweep.
-
-Means and intervals are as worked out by hand, every factor and failure is shown, and
-nothing is loaded from elsewhere.
-"""
+"""The page of a sweep: means and intervals by hand, factors and failures."""
 
 import base64
 import re
@@ -31,10 +27,7 @@ STIFFNESS = ("bending_stiffness", "N m/(rad kg)")
 
 
 def swept(betas=(0.99, 0.995), targets=("near", "far"), seeds=(0, 1, 2, 3)):
-    """Return a table as the pipeline makes it.
-
-    E grows with beta by 20 a unit, and far is never hit.
-    """
+    """Return a table of jobs in which E grows with beta by 20 and far is never hit."""
     rng = np.random.default_rng(0)
     rows = []
     for beta in betas:
@@ -77,11 +70,10 @@ def record(table, given=("experiment", BETA, "target", "seed")):
     )
 
 
-def test_intervals_are_those_of_the_books():
-    """Intervals are those of textbooks.
+def test_intervals_are_those_of_textbooks():
+    """Student's t for 1, 2, 3 gives 2 -+ 4.303 / sqrt 3.
 
-    Student's t for 1, 2, 3 gives 2 -+ 4.303 / sqrt 3. Wilson for 8 of 10 gives 0.490 to
-    0.943 (Newcombe 1998).
+    Wilson's for 8 of 10 is 0.490 to 0.943 (Newcombe 1998).
     """
     assert arithmetic_mean(np.array([1.0, 2.0, 3.0])) == pytest.approx(
         (2.0, 2 - 2.4843, 2 + 2.4843), abs=1e-3
@@ -93,21 +85,18 @@ def test_intervals_are_those_of_the_books():
     assert np.isnan(arithmetic_mean(np.array([1.0]))[1:]).all()
 
 
-def test_hit_rate_of_all_or_none_is_not_certain():
+def test_hit_rate_of_0_or_1_has_an_interval():
     assert mean_share(np.ones(3))[1] < 0.5
     assert mean_share(np.zeros(3))[2] > 0.5
 
 
-def test_seeds_are_what_is_repeated_not_jobs():
-    """Seeds are the repetitions, and jobs are not.
-
-    Ten jobs of one seed say no more of chance than one: their mean is one value.
-    """
+def test_seeds_count_as_repetitions_and_jobs_do_not():
+    """Ten jobs of one seed count as one value, their mean."""
     table = swept(np.linspace(0.9, 0.99, 10), targets=("near",), seeds=range(5))
     whole = mean_response(table, CASTS, ["target"]).iloc[0]
     assert (whole["seeds"], whole["jobs"]) == (5, 50)
     assert whole["mean"] == pytest.approx(3.0)
-    # the interval is Student's t with four degrees of freedom, of values 1 to 5
+    # Student's interval of values 1 to 5, with four degrees of freedom
     half = 2.776 * np.sqrt(2.5 / 5)
     assert whole["high"] - whole["mean"] == pytest.approx(half, rel=1e-3)
     few = mean_response(table[table["seed"] < 4], CASTS, ["target"]).iloc[0]
@@ -115,11 +104,8 @@ def test_seeds_are_what_is_repeated_not_jobs():
     assert np.isnan([few["low"], few["high"]]).all()
 
 
-def test_intervals_end_where_values_do():
-    """No rate lies above 1, no distance below 0, no cast before the first.
-
-    The interval covers the mean of many seeds as often as one without ends.
-    """
+def test_intervals_are_clipped_to_possible_values():
+    """Clipping does not change how often the interval covers the mean."""
     by_name = {outcome.name: outcome for outcome in CAST_OUTCOMES}
     _, low, high = by_name["E_after"].mean_over_seeds(np.array([0.1, 1, 1, 1, 1.0]))
     assert (low > 0, high) == (True, 1.0)
@@ -139,10 +125,10 @@ def test_intervals_end_where_values_do():
         _, low, high = np.array(arithmetic_mean(draws)) * 1e3
         covered_without_ends += low <= expected <= high
     assert covered == covered_without_ends
-    assert covered / 400 > 0.9  # such skewed values miss the 95 % by a little
+    assert covered / 400 > 0.9  # such skewed values fall slightly short of 95 %
 
 
-def test_a_response_is_the_mean_over_the_other_settings():
+def test_response_is_the_mean_over_other_settings():
     table = swept()
     at = mean_response(table, HIT, [BETA]).set_index(BETA)["mean"]
     assert at.to_dict() == pytest.approx({0.99: 50.0, 0.995: 50.0})
@@ -157,7 +143,7 @@ def test_a_response_is_the_mean_over_the_other_settings():
     ].to_list() == pytest.approx([10.0, 10.0])
 
 
-def test_the_page_shows_each_factor():
+def test_page_shows_each_factor():
     page = sweep_page(record(swept(seeds=range(5))))
     for factor in (BETA, "target"):
         assert f"<h2>Response to {factor}</h2>" in page
@@ -185,11 +171,11 @@ def heading(page):
     return re.search(r"<h1[^>]*>(.*?)</h1>", page, re.DOTALL)[1].strip()
 
 
-def test_the_heading_is_what_was_found(undrawn):
-    """The heading is the result.
+def test_heading_states_the_largest_effect(undrawn):
+    """Near is always hit and far never, whatever beta is.
 
-    Near is always hit and far never; beta changes nothing of it. With five seeds,
-    Wilson gives 0.57 to 1 and 0 to 0.43. Four have no interval, and no heading.
+    With five seeds, Wilson's intervals are 0.57 to 1 and 0 to 0.43. With four seeds
+    there is no interval and no heading.
     """
     seeds = range(5)
     assert heading(sweep_page(record(swept()))) == "all done"
@@ -207,7 +193,7 @@ def test_the_heading_is_what_was_found(undrawn):
     assert heading(sweep_page(record(swept().assign(state="pending")))) == "all done"
 
 
-def test_failed_jobs_are_listed_and_left_out_of_the_means(undrawn):
+def test_failed_jobs_are_listed_and_excluded_from_means(undrawn):
     table = swept()
     table.loc[0, ["state", "error", "hit", "E_after"]] = [
         "failed",
@@ -223,10 +209,10 @@ def test_failed_jobs_are_listed_and_left_out_of_the_means(undrawn):
 
 
 @pytest.mark.parametrize("state", ["failed", "pending"])
-def test_a_sweep_of_which_nothing_is_done_has_a_page_too(state, undrawn):
+def test_sweep_without_finished_jobs_has_a_page(state, undrawn):
     page = sweep_page(record(swept().assign(state=state)))
     assert "0 of 16" in page
-    assert "no job is done" in page
+    assert "No job is finished" in page
 
 
 def test_one_setting_one_seed_and_no_casts(undrawn):
@@ -236,25 +222,21 @@ def test_one_setting_one_seed_and_no_casts(undrawn):
         .assign(hit=np.nan, miss_m=np.nan)
     )
     page = sweep_page(record(table, ("experiment", BETA)))
-    assert "Fewer than 5 seeds do not show the scatter" in page
+    assert "fewer than 5 seeds hardly show the scatter" in page
     assert "hit rate" not in page.split("<section", 1)[1]
 
 
-def test_what_all_jobs_found_alike_is_drawn_without_a_warning():
-    """A value that is equal in all jobs is drawn without a warning.
-
-    The mean of equal values may differ from them by rounding, and no axis of powers of
-    ten has such ends.
-    """
+def test_equal_values_are_drawn_without_a_warning():
+    """Rounding of the mean must not become the range of a logarithmic axis."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sweep_page(record(swept().assign(**{STIFFNESS[0]: 1e-3})))
 
 
 def jobs_by_target():
-    """Return the table of three targets with two seeds each.
+    """Return jobs of three targets with two seeds each.
 
-    One is hit in casts 1 and 3, one is hit by neither, and the jobs of one failed.
+    One is hit in casts 1 and 3, one is never hit, and the jobs of one failed.
     """
     rows = [
         (0.1, 0, "done", 1.0, 1.0),
@@ -272,7 +254,7 @@ def jobs_by_target():
     )
 
 
-def test_the_map_of_the_workspace_says_what_became_of_each_target(undrawn):
+def test_target_map_shows_the_outcome_of_each_target(undrawn):
     table = pd.concat(
         [jobs_by_target().assign(**{"target.y": y}) for y in (0.2, 0.5)],
         ignore_index=True,

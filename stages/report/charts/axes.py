@@ -1,4 +1,4 @@
-"""Axes, legends and cells that several charts share."""
+"""Axes, legends and maps shared by several charts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def add_legend_above(figure: Figure, columns: int) -> None:
 
 
 def label_decades(axis: Axis) -> None:
-    """Label a logarithmic axis by powers of ten alone: 10⁻³."""
+    """Label a logarithmic axis by powers of ten only: 10⁻³."""
 
     def label(value: float, _: float) -> str:
         return "10" + superscript(f"{value:.0e}".split("e")[1])
@@ -52,7 +52,7 @@ def draw_map(
     length: float,
     **style: Any,
 ) -> ScalarMappable:
-    """Draw the means of values in cells of arc length and time.
+    """Draw mean values in cells of arc length and time.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def draw_map(
         Arc length [m], time [s] and value of each point. Cells without a point are
         empty.
     length : float
-        Length of the string [m], beyond which no cell reaches.
+        Length of the string [m], where the cells end.
     style : keywords
         Colours of `Axes.pcolorfast`.
     """
@@ -75,7 +75,7 @@ def draw_map(
 
 
 def _string_edges(s: np.ndarray, length: float) -> np.ndarray:
-    """Return edges [m] around the places measured, or even ones if there are many."""
+    """Return edges [m] around the measured places, or even ones if there are many."""
     places = np.unique(np.round(s, 4))
     if len(places) > MAX_STRING_CELLS:
         return np.linspace(0, s.max() * (1 + 1e-9), MAX_STRING_CELLS + 1)
@@ -87,7 +87,7 @@ def _string_edges(s: np.ndarray, length: float) -> np.ndarray:
 
 
 def _time_edges(t: np.ndarray) -> np.ndarray:
-    """Return even edges [s] as wide as a frame or more, so that gaps stay empty."""
+    """Return even edges [s] at least a frame apart, so that gaps stay empty."""
     times = np.unique(t)
     frame = float(np.median(np.diff(times))) if len(times) > 1 else 0.01
     width = max(frame, float(np.ptp(times)) / MAX_TIME_CELLS)

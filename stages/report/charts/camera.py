@@ -1,4 +1,4 @@
-"""Camera frames with what is known of them drawn on top, in the camera's own pixels."""
+"""Camera frames with target, obstacles and strings drawn on top."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from stringcast.stages.report.theme import (
 
 cv2 = LazyModule("cv2")
 
-REGION_MARGIN_M = 0.05  # around the points that a part of the image shows
+REGION_MARGIN_M = 0.05  # around the points that a region shows
 MIN_REGION_PX = 16
-CORNER_SIGNS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # of a box, in turn
+CORNER_SIGNS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # of a box, in order
 
 
 @dataclass(frozen=True)
 class ImageRegion:
-    """Part of the camera's image: columns left to right - 1, rows top to bottom - 1."""
+    """Region of an image: columns left to right - 1, rows top to bottom - 1."""
 
     left: int
     top: int
@@ -63,13 +63,13 @@ class ImageRegion:
 
 
 def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
-    """Return the part of the image that shows world points.
+    """Return the region of the image that shows world points.
 
     Parameters
     ----------
     record : Record
     world : ndarray, shape (N, 2)
-        Points [m]; those that are NaN are ignored.
+        Points [m]; NaN points are ignored.
     """
     camera = record.model.camera
     pixels = camera.pixels(world[np.isfinite(world).all(axis=1)])
@@ -83,7 +83,7 @@ def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
 
 
 def widen_to_square(region: ImageRegion, camera: Camera) -> ImageRegion:
-    """Widen a region to its height, about its middle, as far as the image goes."""
+    """Widen a region around its middle to its height, within the image."""
     width, height = region.size_px
     if width >= height:
         return region
@@ -95,7 +95,7 @@ def widen_to_square(region: ImageRegion, camera: Camera) -> ImageRegion:
 
 
 def region_of_run(record: RunRecord) -> ImageRegion:
-    """Return the part of the image that shows every cast of a run."""
+    """Return the region of the image that shows all casts of a run."""
     points = [np.array([record.model.arm.base]), box_corners(record.target)]
     points += map(box_corners, record.obstacles)
     looks = () if record.look is None else (record.look,)
@@ -106,12 +106,12 @@ def region_of_run(record: RunRecord) -> ImageRegion:
 
 
 def box_corners(box: Box) -> np.ndarray:
-    """Return the corners of a box in turn [m], shape (4, 2)."""
+    """Return the corners of a box in order [m], shape (4, 2)."""
     return np.asarray(box.centre + CORNER_SIGNS * box.half_size)
 
 
 def blank_frame(region: ImageRegion, width: float) -> tuple[Figure, Axes]:
-    """Create a figure of a width [inch] that a region of a frame fills."""
+    """Create a figure of a width [inch], filled by a region of a frame."""
     columns, rows = region.size_px
     figure = Figure(figsize=(width, width * rows / columns))
     figure.set_layout_engine("none")
@@ -198,8 +198,8 @@ def closest_approach_picture(record: RunRecord, cast: CastRecord) -> Picture | N
 MAX_PAGE_FRAMES = 100  # shared among the casts of a page
 MIN_CAST_FRAMES = 10
 FILM_SIZE_PX = 440  # of the longer side
-# Scale and quality of WebP, tried in turn until a frame is small enough. 100 frames of
-# the largest size are 0.33 MB of a page, which may have 1.5 MB.
+# Scale and quality of WebP, tried in order until a frame is small enough. 100 frames of
+# the largest size are 0.33 MB of a page's 1.5 MB.
 COMPRESSION_STEPS = ((1.0, 45), (1.0, 25), (1.0, 12), (0.5, 45), (0.5, 25))
 MAX_FRAME_BYTES = 2_500
 STILL_COUNT = 6
@@ -209,9 +209,9 @@ FILM_MARGIN_S = 0.03  # before and after the movement
 def cast_film_data(
     record: RunRecord, cast: CastRecord, region: ImageRegion
 ) -> dict[str, Any] | None:
-    """Return what the page's script draws of a cast, or None without frames.
+    """Return the data of a cast's film for the page's script, or None without frames.
 
-    The data are JSON-able; coordinates are pixels of the film, times are in ms.
+    They can be written as JSON; coordinates are pixels of the film, times are in ms.
     """
     if not len(cast.trial.images):
         return None
@@ -253,7 +253,7 @@ def cast_film_data(
 def _film_pixels(
     camera: Camera, region: ImageRegion, scale: float, world: np.ndarray
 ) -> list[list[float]]:
-    """Return places (n, 2) [m] as pixels of the film; none of a string that diverged.
+    """Return points (n, 2) [m] as pixels of the film; empty if the string diverged.
 
     scale: pixels of the film over those of the camera.
     """
@@ -267,7 +267,7 @@ def _film_pixels(
 def choose_frames(cast: CastRecord, count: int) -> list[int]:
     """Choose at most `count` frames evenly over the movement.
 
-    The frame of the closest approach is among them.
+    They include the frame of the closest approach.
     """
     first = cast.frame_at(-FILM_MARGIN_S)
     last = cast.frame_at(cast.motion.duration + FILM_MARGIN_S)
@@ -280,7 +280,7 @@ def choose_frames(cast: CastRecord, count: int) -> list[int]:
 def _encode_frame(
     image: np.ndarray, grey_range: tuple[float, float], scale: float
 ) -> str:
-    """Spread the levels of a frame and encode it, never larger than it was filmed."""
+    """Stretch the grey levels of a frame and encode it, at its filmed size or less."""
     black, white = grey_range
     spread = (image.astype(np.float32) - black) * (255 / (white - black))
     image = np.clip(spread, 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Charts of casts: paths, distances, matching rates, and parameters cast by cast."""
+"""Charts of casts: paths, distances, matching rates, and parameters over the casts."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def cast_path_picture(record: RunRecord, cast: CastRecord) -> Picture | None:
 
 
 def hand_paths_picture(record: RunRecord) -> Picture | None:
-    """Draw the path of the hand in each cast, from faint to strong."""
+    """Draw the path of the hand in each cast, the first faintest."""
     if any(cast.trial.arm.empty for cast in record.casts):
         return None
     figure, axes = _plane_with_boxes(record)
@@ -136,12 +136,12 @@ def mark_movement(chart: Chart, cast: CastRecord) -> Chart:
 
 
 def break_at_gaps(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Set values over times [s] to NaN after each gap too long for a line."""
+    """Set values at times [s] to NaN after long gaps, to break lines there."""
     return np.where(np.diff(t, prepend=t[:1]) > MAX_GAP_S, np.nan, values)
 
 
 def matching_chart(estimate: Estimate | None, title: str) -> Chart | None:
-    """Chart E_f before and after an estimation in the newest of its trials."""
+    """Chart E_f before and after an estimation in its last trial."""
     if estimate is None or estimate.matching.empty:
         return None
     table = estimate.matching
@@ -151,7 +151,7 @@ def matching_chart(estimate: Estimate | None, title: str) -> Chart | None:
     for state in STATES:
         rates = break_at_gaps(t, table[state].to_numpy())
         lines.append(Line(f"{state} estimation", rates, state))
-    caption = "How well simulation and camera agree, frame by frame; 1 is perfect."
+    caption = "Agreement of simulation and camera in each frame; 1 is perfect."
     return Chart(title, t, lines, "matching rate E", caption)
 
 
@@ -162,7 +162,7 @@ DISTANCE_COLOURS = colormaps["viridis"].resampled(24)  # more would double the p
 def distances(
     record: RunRecord, cast: CastRecord, simulated: np.ndarray
 ) -> pd.DataFrame:
-    """Return the distance of each measured point from a simulated string.
+    """Return the distance between each measured point and a simulated string.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def distances(
 def distance_scale_end(record: RunRecord) -> float:
     """Return the end [m] of the colour scale of all casts.
 
-    0.5 % of the points lie farther away after estimation.
+    It is the 99.5 % quantile of the distances after estimation.
     """
     read = [cast for cast in record.casts if cast.centre_lines]
     after = [distances(record, cast, cast.after) for cast in read]
@@ -206,7 +206,7 @@ def distance_map(
 ) -> Picture | None:
     """Map the distance after estimation over arc length and time.
 
-    Cells hold the mean of one frame or several; frames that were not read stay empty.
+    Cells are means of one or more frames; unread frames stay empty.
     """
     if not cast.centre_lines:
         return None
@@ -232,8 +232,7 @@ def distance_map(
         axes.axvline(cast.verdict.t * MS_PER_S, color="target", lw=1.2, ls="--")
     size = format_mm(rms(table["distance"]), 1)
     words = (
-        "Distance of the simulated from the measured string after estimation: RMS "
-        f"{size}."
+        f"Distance between simulated and measured string after estimation: RMS {size}."
     )
     return svg_picture(figure, words)
 
@@ -257,11 +256,11 @@ def distance_chart(record: RunRecord, cast: CastRecord) -> Chart | None:
     return mark_movement(chart, cast)
 
 
-# --- from cast to cast
+# --- over the casts
 def history_picture(parameter: Parameter, estimates: Sequence[Estimate]) -> Picture:
-    """Draw the estimates of a parameter, from the start value (0) on.
+    """Draw the estimates of a parameter, starting with the start value (0).
 
-    Bars are 95 % intervals; hollow marks are not determined by the data.
+    Bars are 95 % intervals; hollow marks are values not determined by the data.
     """
     tables = [estimate.parameters.set_index("name") for estimate in estimates]
     known = [n for n, table in enumerate(tables) if parameter.name in table.index]

@@ -1,4 +1,4 @@
-"""Charts of a diagnosis: the search, the laws found, and what remains unexplained."""
+"""Charts of a diagnosis: search, laws of effects, and unexplained displacement."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from stringcast.stages.report.theme import MS_PER_S, Picture, svg_picture
 MAX_BARS = 14
 LONGEST_ARROW_IN = 0.28
 ARROW_STYLE: dict[str, Any] = {
-    "angles": "uv",  # those in the plane, whatever the scales of the axes
+    "angles": "uv",  # directions in the plane, independent of the scales of the axes
     "scale_units": "inches",
     "width": 0.0035,
     "headwidth": 4.5,
@@ -33,11 +33,11 @@ ARROW_STYLE: dict[str, Any] = {
 
 # --- effects
 def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
-    """Draw the law of an effect; its parameters have their short names."""
+    """Draw the law of an effect; `values` has short parameter names."""
     figure, axes = new_axes(3.4, 2.5)
     effect.plot(axes, values)
     for line in axes.lines:
-        if line.get_color() in ("0.6", "0.7"):  # grey of effects has no dark side
+        if line.get_color() in ("0.6", "0.7"):  # this grey has no dark version
             line.set_color("axis")
     for arrows in axes.collections:
         arrows.set_facecolor("after")
@@ -48,12 +48,12 @@ def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
 def screening_pictures(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
     """Draw the predicted gains of effects at each step of the search.
 
-    Steps that started from causes that were dropped later are left out.
+    Steps from causes that were dropped later are omitted.
 
     Returns
     -------
     list of (context, picture)
-        The context names the causes that were in the model.
+        The context names the causes in the model.
     """
     chosen = set(record.extension.get("effects", ()))
     named = record.diagnosis.causes["effect"]
@@ -118,10 +118,10 @@ HYPOTHESIS_STYLES = (
 
 
 def proposal_picture(record: DiagnosisRecord) -> Picture | None:
-    """Draw the strings that the hypotheses predict where they differ most.
+    """Draw the strings predicted by the hypotheses when they differ most.
 
-    Beside them is the largest distance along the string from the likeliest hypothesis,
-    over time.
+    To their right, draw the largest distance along the string from the likeliest
+    hypothesis over time.
     """
     table = record.diagnosis.predicted
     if table.empty:

@@ -61,7 +61,7 @@ def string_shapes_figure(
 
 
 def _draw_shapes(axes: Axes, lines: pd.DataFrame) -> None:
-    """Draw the lines of each moment, the fainter the earlier."""
+    """Draw the lines of each moment; earlier ones are fainter."""
     last = lines["moment"].max()
     for (moment, kind), line in lines.groupby(["moment", "kind"]):
         alpha = 0.25 + 0.75 * (moment / last) ** 2
@@ -87,7 +87,7 @@ def _cast_title(record: PaperRecord, condition: str, number: int) -> str:
 def hand_paths_figure(
     record: PaperRecord, conditions: Sequence[str]
 ) -> PaperFigure | None:
-    """Draw the hand path of the last cast of each experiment; a dot marks its start."""
+    """Draw the hand path of each experiment's last cast; a dot marks its start."""
     finished = [name for name in conditions if record.cast_numbers(name)]
     if not finished:
         return None
@@ -111,8 +111,8 @@ def hand_paths_figure(
 
 
 # --- Fig. 14: the matching rate over time
-COMPARED_CAST = 4  # that the paper compares with the first
-HIT_HALF_WINDOW_S = 0.05  # around the closest approach, over which E_f is averaged
+COMPARED_CAST = 4  # compared with the first cast in the paper
+HIT_HALF_WINDOW_S = 0.05  # around the closest approach, for the mean of E_f
 
 
 def matching_figure(record: PaperRecord, condition: str) -> PaperFigure | None:
@@ -155,7 +155,7 @@ TABLE_4_SYMBOLS = ("k_h", "c_h", "k_ph", "c_ph")
 def table_4_figure(
     record: PaperRecord, conditions: Sequence[str]
 ) -> PaperFigure | None:
-    """Draw the parameters of each string, the range searched, and the paper's."""
+    """Draw each string's parameters, the searched range, and the paper's values."""
     table = record.tables["parameters"]
     table = table[table["condition"].isin(conditions)]
     if table.empty:

@@ -1,4 +1,4 @@
-"""Charts of how far simulated strings lie from the measured one, trial by trial."""
+"""Charts of residuals between simulated and measured strings, trial by trial."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stringcast.stages.report.records import DiagnosisRecord, model_distances, t
 from stringcast.stages.report.theme import Picture, svg_picture
 
 MODEL_COLOURS = {"base": "before", "extended": "after"}
-# Zero is the page itself, light or dark; both ends stand out on either.
+# zero is transparent, and both ends are visible on light and dark pages
 NEGATIVE_COLOUR, POSITIVE_COLOUR = (0.10, 0.50, 0.80), (0.93, 0.45, 0.08)
 DIVERGING_COLOURS = LinearSegmentedColormap.from_list(
     "diverging",
@@ -35,12 +35,12 @@ COMPONENTS = {"normal": "across the string", "tangential": "along the string"}
 MAP_WIDTH_IN = 5.4
 MAP_ROW_IN = 1.05
 MAP_TOP_IN = 0.45  # for titles
-MAP_BOTTOM_IN = 0.95  # for the bar of colours
+MAP_BOTTOM_IN = 0.95  # for the colour bar
 SCALE_TICKS = (1, 3, 10, 30, 100, 300, 1000)
 
 
 def model_labels(record: DiagnosisRecord) -> dict[str, str]:
-    """Return what a reader calls each simulated string."""
+    """Return the label of each simulated string for readers."""
     if not record.is_extended:
         return {"base": "simulated"}
     return {"base": "without the causes", "extended": "with the causes"}
@@ -48,7 +48,7 @@ def model_labels(record: DiagnosisRecord) -> dict[str, str]:
 
 # --- maps
 def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
-    """Map the components of a model's residual over the noise floor, a row a trial."""
+    """Map the components of a model's residual over the noise floor, by trial."""
     trials = record.drawn_trials
     if not trials:
         return None
@@ -63,7 +63,7 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
             values = components[name]
             drawn = draw_map(axes, s, t, values, length, **colours)
         row[0].set_ylabel("s [mm]")
-        # above the row, for names may be longer than it is high
+        # above the row, because names may be longer than its height
         row[0].text(0.0, 1.05, trial, fontsize=8, transform=row[0].transAxes)
     _add_scale_bar(figure, drawn, end)
     trial_count = format_count(len(trials), "trial")
@@ -74,7 +74,7 @@ def residual_maps(record: DiagnosisRecord, model: str) -> Picture | None:
 def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
     """Return a figure with a row of axes for each trial, (rows, 2), and its axes.
 
-    Its margins are fixed: a layout that measures all labels takes as long as to draw.
+    Its margins are fixed, because a layout that measures labels doubles the time.
     """
     height = MAP_TOP_IN + MAP_ROW_IN * row_count + MAP_BOTTOM_IN
     figure = Figure(figsize=(MAP_WIDTH_IN, height))
@@ -97,7 +97,7 @@ def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
 
 
 def _add_scale_bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
-    """Add the bar of colours below all maps, from -end to end [noise floor]."""
+    """Add the colour bar below all maps, from -end to end [noise floor]."""
     height = figure.get_figheight()
     place = figure.add_axes((0.1, 0.42 / height, 0.87, 0.08 / height))
     bar = figure.colorbar(drawn, cax=place, orientation="horizontal", extend="both")
@@ -109,7 +109,7 @@ def _add_scale_bar(figure: Figure, drawn: ScalarMappable, end: float) -> None:
 
 
 def _scale_end(tables: Iterable[pd.DataFrame]) -> float:
-    """Return the end of the colour scale that all trials and models share."""
+    """Return the end of the colour scale of all trials and models."""
     sizes: list[np.ndarray] = []
     for table in tables:
         sizes += residual_components(table, "base").values()
@@ -120,8 +120,8 @@ def _scale_end(tables: Iterable[pd.DataFrame]) -> float:
 def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray]:
     """Split a model's residual over the noise floor along the base model's string.
 
-    The table has the components of the base model's residual. As complex numbers,
-    x + iy = direction * (tangential + i normal), which gives the string's direction.
+    The table has the components of the base model's residual. The string's direction
+    follows from x + iy = direction * (tangential + i normal).
 
     Returns
     -------
@@ -169,7 +169,7 @@ def residual_charts(record: DiagnosisRecord, table: pd.DataFrame) -> list[Chart]
 
 # --- trial by trial
 def trial_rms_picture(record: DiagnosisRecord) -> Picture | None:
-    """Draw the residual in each trial against what noise and numerical error leave."""
+    """Draw the residual in each trial, compared with noise and numerical error."""
     table = record.diagnosis.residuals
     if table.empty:
         return None

@@ -11,18 +11,18 @@ import pandas as pd
 from stringcast.stages.report.records import DiagnosisRecord, model_distances
 from stringcast.stages.report.theme import MS_PER_S
 
-FRAME_QUANTILE = 0.75  # along the string, of the misfit of a frame: ignores outliers
+FRAME_QUANTILE = 0.75  # of the misfit along the string; ignores outliers
 FILM_SIZE_PX = 420  # of the longer side
 FILM_EDGE_PX = 24  # free around the strings
 SCALE_ROOM_PX = 24  # below the strings, for the scale
 MAX_COORDINATES = 60_000  # in all films of a page: 0.3 MB
-# share of the length within which a point stands for the tip
+# distance from the tip within which a point counts as the tip, as a share of the length
 TIP_LENGTH_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
 class FilmCanvas:
-    """The pixels of a film, and the region (low, high) [m] that it shows."""
+    """The canvas of a film, with its region from `low` to `high` [m]."""
 
     low: np.ndarray
     high: np.ndarray
@@ -64,8 +64,8 @@ def tip_points(table: pd.DataFrame) -> pd.DataFrame:
 def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, Any]:
     """Return measured and simulated strings of a trial, and the paths of their tips.
 
-    The film begins at the largest misfit of the base model. The data are JSON-able;
-    coordinates are pixels of the film, times are in ms.
+    The film starts at the largest misfit of the base model. The data can be written as
+    JSON; coordinates are pixels of the film, times are in ms.
     """
     columns = {"measured": ["x", "y"]}
     for model in record.models:
@@ -100,5 +100,5 @@ def string_film_data(record: DiagnosisRecord, table: pd.DataFrame) -> dict[str, 
         "boxes": [],
         "stills": [],
         "strings": strings,
-        "ways": paths,
+        "paths": paths,
     }

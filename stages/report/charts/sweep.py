@@ -1,4 +1,4 @@
-"""Outcomes of a sweep over its settings and over the workspace."""
+"""Charts of a sweep: outcomes over settings and over the workspace."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from stringcast.stages.report.formatting import format_mean, format_value
 from stringcast.stages.report.outcomes import Outcome, mean_response
 from stringcast.stages.report.theme import Picture, svg_picture
 
-MIN_LOG_AXIS_RATIO = 20  # of the levels of a setting on a logarithmic axis
-EQUAL_VALUES_TOLERANCE = 1e-9  # relative: a geometric mean is off by 1e-15
+MIN_LOG_AXIS_RATIO = 20  # of a setting's largest to its smallest level
+EQUAL_VALUES_TOLERANCE = 1e-9  # relative; geometric means have errors of 1e-15
 MAX_LABEL_LENGTH = 28  # characters of an axis label in the usual size
 MIN_OPACITY = 0.15
 TARGET_COLUMNS = ["target.x", "target.y"]
@@ -30,9 +30,9 @@ def setting_label(factor: str, units: Mapping[str, str]) -> str:
 def outcome_curve(
     jobs: pd.DataFrame, outcome: Outcome, factor: str, units: Mapping[str, str]
 ) -> Picture | None:
-    """Draw an outcome of finished jobs over a setting; None if no job knows it.
+    """Draw an outcome of finished jobs over a setting; None if no job has it.
 
-    factor: the column of the setting. units: of settings, by column.
+    factor: column of the setting. units: units of settings, by column.
     """
     means = mean_response(jobs, outcome, [factor])
     if means.empty:
@@ -63,7 +63,7 @@ def outcome_curve(
 
 
 def _tick_levels(axes: Axes, levels: np.ndarray) -> None:
-    """Put a tick at each level of a setting, ascending, on a scale that suits them."""
+    """Put a tick at each ascending level of a setting, on a linear or log scale."""
     if 0 < levels[0] * MIN_LOG_AXIS_RATIO < levels[-1]:
         axes.set_xscale("log")
     axes.set_xticks(levels, [f"{level:g}" for level in levels])
@@ -76,7 +76,7 @@ def _use_log_scale(axes: Axes) -> None:
         axes.set_ylim(low / 2, high * 2)
     axes.set_yscale("log")
     label_decades(axes.yaxis)
-    if high < 10 * low:  # one power of ten, or none, would be the only label
+    if high < 10 * low:  # powers of ten would give one label or none
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(
             FuncFormatter(lambda value, _: format_value(value))
@@ -84,10 +84,10 @@ def _use_log_scale(axes: Axes) -> None:
 
 
 def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
-    """Draw a mark at each target, the darker the fewer casts its median seed needed.
+    """Draw a mark at each target, darker for fewer casts until a hit (median seed).
 
-    Hollow marks: the median seed did not hit. Crosses: no job ran to its end, mostly
-    because the target is out of reach.
+    Hollow marks: the median seed did not hit. Crosses: no job finished, mostly because
+    the target is out of reach.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
         Jobs that finished or failed, with columns target.x and target.y [m], state, hit
         and casts.
     max_casts : int
-        Casts of the job with the most.
+        Largest number of casts of a job.
     """
     needed = jobs["casts"].where(jobs["hit"] == 1, np.inf)
     needed = needed.where(jobs["state"] == "done", np.nan)
@@ -124,6 +124,6 @@ def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
 
 
 def _lower_median(needed: pd.Series) -> float:
-    """Return NaN if no job ran to its end, infinity if more than half never hit."""
+    """Return the lower median; NaN without a finished job."""
     known = np.sort(needed.dropna().to_numpy(float))
     return float(known[(len(known) - 1) // 2]) if len(known) else np.nan

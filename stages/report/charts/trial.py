@@ -1,4 +1,4 @@
-"""A figure of a measured trial that shows a wrong unit, axis or clock at a glance."""
+"""A figure of a measured trial that makes wrong units, axes and clocks visible."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def trial_figure(
 ) -> Figure:
     """Draw arm and string in the plane, and positions and speeds over time.
 
-    Where clocks were fitted, the profile of their offset as well.
+    If clocks were fitted, the profile of their offset is added.
     """
     end = seen.points.groupby("t").tail(1)
     t, tip = end["t"].to_numpy(), end[["x", "y"]].to_numpy()
@@ -48,10 +48,10 @@ def trial_figure(
 
 
 def _draw_clock_profile(axes: Axes, profile: pd.DataFrame) -> None:
-    """Draw the profile of the clocks' offset about its estimate.
+    """Draw the profile of the clock offset around its estimate.
 
-    The two sources: how far points would be beyond their string, and what the string
-    model says. The interval is shaded.
+    Its two sources are the stretch that the points would need, and the likelihood of
+    the string model. The interval is shaded.
     """
     offset_ms = profile["offset"] * MS_PER_S
     stretch_mm = profile["stretch"] * MM_PER_M
@@ -61,7 +61,9 @@ def _draw_clock_profile(axes: Axes, profile: pd.DataFrame) -> None:
     log_likelihood = profile["log_likelihood"]
     other.plot(offset_ms, log_likelihood, color="after", label="string model")
     other.set_ylabel("log likelihood")
-    other.yaxis.set_major_formatter(EngFormatter(sep=""))  # no power beside the axis
+    other.yaxis.set_major_formatter(
+        EngFormatter(sep="")
+    )  # no power of ten at the end of the axis
     ends_ms = profile[["low", "high"]].iloc[0] * MS_PER_S
     axes.axvspan(*ends_ms, color="measured", alpha=0.3, label="95 % interval")
     drawn, _ = axes.get_legend_handles_labels()
@@ -101,7 +103,7 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
 
 
 def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
-    """Return the joints' positions [m], or that of the hand if only it was measured."""
+    """Return the joint positions [m], or the hand's if only the hand was measured."""
     if seen.joints is None:
         return seen.hand_at(t)[None]
     return seen.arm.joint_positions(interpolate_rows(t, seen.hand_t, seen.joints))
@@ -122,7 +124,7 @@ def _draw_positions(
 def _draw_speeds(
     axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray
 ) -> None:
-    """Draw each speed as a share of its maximum: on one clock, both rise together."""
+    """Draw speeds as shares of their maximum; with equal clocks both rise together."""
     hand = seen.pose[:, :2]
     _draw_speed(axes, seen.hand_t, hand, "hand, arm's clock", "axis")
     _draw_onset(axes, seen.hand_onset, "hand begins to move", "axis")
@@ -146,11 +148,11 @@ def _draw_speed(
 
 
 def _draw_onset(axes: Axes, onset: float | None, label: str, colour: str) -> None:
-    """Draw when a motion begins, if it does."""
+    """Draw the onset of a motion, if there is one."""
     if onset is not None:
         axes.axvline(onset, color=colour, ls=":", lw=1, label=label)
 
 
 def _add_legend(axes: Axes, columns: int) -> None:
-    """Add a legend above the axes, where it hides nothing."""
+    """Add a legend above the axes."""
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns)

@@ -1,1 +1,1 @@
-"""Pages, a module each; a section is a function from a record to a `Section`."""
+"""Pages, one module each; a function builds each `Section` from a record."""

@@ -35,7 +35,7 @@ MILLI_UNITS = {"s": "ms", "m": "mm", "rad": "mrad", "1": "‰"}
 
 
 def alignment_page(facts: StageRecord) -> str:
-    """Render the page; the same facts give the same text."""
+    """Render the page of an alignment."""
     alignment: Alignment = facts.artifact
     with style.context(STYLE_SHEET):
         sections = [
@@ -87,13 +87,13 @@ def _fit_section(alignment: Alignment) -> Section:
         Figure(
             "Certainty of the clock offset",
             _likelihood_picture(alignment.likelihood),
-            "Without a lag of the arm, and with a fitted one. Where both are low, "
-            "offset and lag cannot be distinguished.",
+            "Without a lag of the arm, and with a fitted one. Where both curves are "
+            "low, offset and lag cannot be distinguished.",
         ),
         Figure(
             "Reported minus filmed over time",
             _residuals_picture(alignment.seen),
-            "Before and after. What remains must be noise without a pattern.",
+            "Before and after. The rest must be noise without a pattern.",
         ),
     ]
     return Section("Fit", figures)
@@ -101,7 +101,7 @@ def _fit_section(alignment: Alignment) -> Section:
 
 # --- pictures
 def _residuals_picture(seen: pd.DataFrame) -> Picture:
-    """Draw reported minus filmed over time, all trials on one clock."""
+    """Draw reported minus filmed positions over time, for all trials on one clock."""
     figure = Drawing(figsize=(7.2, 3.4))
     panels = figure.subplots(2, 1, sharex=True)
     for axes, state in zip(panels, STATES, strict=True):

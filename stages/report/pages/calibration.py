@@ -41,13 +41,13 @@ from stringcast.stages.report.theme import (
 
 cv2 = LazyModule("cv2")
 
-ARROW_SHARE = 0.04  # of the picture's width, of an arrow as long as the rms error
+ARROW_SHARE = 0.04  # length of an rms error's arrow, as a share of the picture's width
 COVERAGE_WIDTH_IN = 6.0
 VIEW_WIDTH_IN = 3.0
 
 
 def calibration_page(facts: StageRecord) -> str:
-    """Render the page; the same facts give the same text."""
+    """Render the page of a calibration."""
     calibration: Calibration = facts.artifact
     outcome = calibration.outcome.iloc[0]
     tilted = calibration.corners[~calibration.corners["plane"]]
@@ -59,7 +59,7 @@ def calibration_page(facts: StageRecord) -> str:
             _views_section(calibration, magnification),
         ]
 
-    used = int((calibration.views["reason"] == "").sum()) - 1  # one is in the plane
+    used = int((calibration.views["reason"] == "").sum()) - 1  # without the plane's
     pictures = (
         f"{used} of {len(calibration.views) - 1} pictures of the tilted board were "
         f"used, {outcome['width']} × {outcome['height']} px."
@@ -116,7 +116,7 @@ def _camera_section(
 
 
 def _views_section(calibration: Calibration, magnification: float) -> Section:
-    """Show every picture of the board, that in the plane of motion first."""
+    """Show all pictures of the board; the one in the plane of motion is the first."""
     lead = (
         "Circles: corners as detected. Crosses: as the camera model projects them. "
         f"Arrows: the errors, enlarged {magnification:g} times. A view with a large "
@@ -151,7 +151,7 @@ def _error_magnification(corners: pd.DataFrame, width: int) -> float:
 def _draw_error_arrows(
     axes: Axes, corners: pd.DataFrame, magnification: float, colour: str
 ) -> None:
-    """Draw arrows from the projection of each corner towards where it was detected."""
+    """Draw arrows from each projected corner towards the detected one."""
     u, v = corners["fit_u"], corners["fit_v"]
     du, dv = magnification * (corners["u"] - u), magnification * (corners["v"] - v)
     axes.quiver(

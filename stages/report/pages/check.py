@@ -25,7 +25,7 @@ from stringcast.stages.report.parts import (
 )
 from stringcast.stages.report.theme import svg_picture
 
-MAX_DRAWN_TRIALS = 10  # of 130 kB each, so that a page stays below 1.5 MB
+MAX_DRAWN_TRIALS = 10  # 130 kB each, so that a page stays below 1.5 MB
 TRIALS_LEAD = (
     "Top: arm and string at the start, and fainter later; the string must begin in "
     "the hand and hang from it. Below: positions and speeds of hand and tip, each on "
@@ -108,9 +108,9 @@ def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
 
 
 def _effects_card(effects: Sequence[Mapping[str, Any]]) -> Card:
-    """List from which size on these trials would show each effect."""
-    columns = ["effect", "meaning", "found from", "then at the tip [mm]"]
-    columns += ["like the string [%]", "taken for"]
+    """List the smallest size at which these trials would show each effect."""
+    columns = ["effect", "meaning", "detectable from", "shift of the tip [mm]"]
+    columns += ["imitated by the string [%]", "mistaken for"]
     rows = []
     for effect in effects:
         tip = "" if effect["tip_m"] is None else f"{1e3 * effect['tip_m']:.1f}"

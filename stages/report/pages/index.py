@@ -26,12 +26,12 @@ from stringcast.stages.report.parts import (
 # the first two fit on a phone
 COLUMNS = (
     *("outcome", "run", "causes", "casts or trials", "best E", "time [s]"),
-    *("begun", "result"),
+    *("start", "result"),
 )
 
 HOW_TO_SORT = (
-    "A click on a heading sorts. The filter keeps the runs that hold all words; a word "
-    "such as E>0.9 compares a number. Missed, hit and causes are words, too."
+    "Click on a heading to sort. The filter keeps runs that contain all words, such as "
+    "missed, hit or a cause; a word such as E>0.9 compares a number."
 )
 
 
@@ -69,8 +69,8 @@ def index_page(
     stale = [(_run_link(run), run["stale"]) for run in newest if run["stale"]]
     if stale:
         lead = (
-            "The current code and settings would give another result for a step of "
-            "these."
+            "With the current code and settings, a step of these runs could give "
+            "another result."
         )
         table = Details(
             f"{len(stale)} of {len(runs)}", [TableView(("run", "reason"), stale)]
@@ -80,7 +80,7 @@ def index_page(
         kind="runs",
         name=folder,
         heading=f"{format_count(len(runs), 'run')} in {folder}",
-        lead="Each links to its own page.",
+        lead="Each run links to its own page.",
         sections=sections,
         origin=origin,
         settings={},
@@ -92,9 +92,9 @@ def _row(run: Mapping[str, Any]) -> list[Any]:
     best = format_rate(run["best_E"]) if np.isfinite(run["best_E"]) else ""
     numbers = number_cells([run["iterations"], best, f"{run['seconds']:.0f}"])
     outcome = run["outcome"] or run["state"]
-    begun = run["date"][:16].replace("T", " ")
+    started = run["date"][:16].replace("T", " ")
     name = Cell(_run_link(run), "name")
-    return [outcome, name, run["causes"], *numbers, begun, run["message"]]
+    return [outcome, name, run["causes"], *numbers, started, run["message"]]
 
 
 def _run_link(run: Mapping[str, Any]) -> Any:

@@ -44,10 +44,10 @@ PAPER = (
 )
 ONE_MOTION_EXPERIMENTS = ("one_motion_A", "one_motion_B", "one_motion_C")
 FIG_10_EXPERIMENTS = ("A_300_900", "A_400_700", "A_900_500")
-MIN_RUNS_FOR_RATE = 20  # fewer leave an interval wider than 45 points at one half
+MIN_RUNS_FOR_RATE = 20  # fewer give an interval wider than 45 points at one half
 MAX_MANIPULATIONS = 99  # more than any run makes
 
-# The title of each figure, the experiments it shows, and the paper's result.
+# title of each figure, its experiments, and the paper's result
 FIGURE_TEXTS: dict[str, tuple[str, tuple[str, ...], str]] = {
     "fig_07": (
         "Fig. 7: string A to (500, 900)",
@@ -95,7 +95,7 @@ FIGURE_TEXTS: dict[str, tuple[str, tuple[str, ...], str]] = {
         ("Around the hit, E of the fourth cast is higher than that of the first."),
     ),
 }
-# What the paper leaves open, and our choice.
+# open points of the paper, and our choice
 OPEN_CHOICES = (
     (
         (
@@ -159,7 +159,7 @@ OPEN_CHOICES = (
 
 
 def paper_figures(record: PaperRecord) -> dict[str, PaperFigure]:
-    """Draw every figure for which the study has data, by name."""
+    """Draw all figures for which the study has data, by name."""
 
     def first_two(condition: str) -> list[tuple[str, int]]:
         return [(condition, number) for number in record.cast_numbers(condition)[:2]]
@@ -220,8 +220,8 @@ def _describe_runs(record: PaperRecord, seeds: int) -> Markup:
         failures = Markup(', of which <strong class="bad">{} failed</strong>').format(
             failed
         )
-        failures += " and count as never having hit"
-    few = ", and with so few seeds they are wide" if seeds < MIN_RUNS_FOR_RATE else ""
+        failures += " and count as never hitting"
+    few = ", and wide with so few seeds" if seeds < MIN_RUNS_FOR_RATE else ""
     return join_sentences(
         [
             "Every experiment of the paper in the virtual lab, compared with the "
@@ -233,13 +233,13 @@ def _describe_runs(record: PaperRecord, seeds: int) -> Markup:
 
 
 def _hit_rate_section(record: PaperRecord) -> Section | Text:
-    """Tabulate the share of runs that hit within some casts."""
+    """Tabulate the share of runs that hit within one to five casts."""
     if not record.finished_experiments:
         return Text("No run has ended yet.", "missing")
     lead = (
         "Share of the runs in which the tip reached the target within one to five "
-        "casts, with 95 % intervals (Clopper and Pearson). Median: casts that half "
-        "of the runs needed at most."
+        "casts, with 95 % intervals (Clopper and Pearson). Median: number of casts "
+        "until half of the runs had hit."
     )
     rows, within = [], []
     for condition in record.finished_experiments:
@@ -278,15 +278,15 @@ def _figures_section(
     if not shown:
         return None
     lead = (
-        "Drawn is the run with the lowest seed that needed the median number of "
-        "casts. Earlier strings and arms are fainter; the last are at the "
+        "The run shown is that with the lowest seed that needed the median number of "
+        "casts. Earlier strings and arms are fainter; the last are those at the "
         "tip's closest approach to the target."
     )
     return Section("Figures and tables", [Text(lead), Container("grid", shown)])
 
 
 def _describe_hits(record: PaperRecord, condition: str) -> str:
-    """Give the number of runs that hit, and compare it with the paper's one run."""
+    """State the number of runs that hit, and compare it with the paper's one run."""
     table = record.rows_of("rates", condition).set_index("within")
     in_paper = record.rows_of("needed", condition)["paper"].iloc[0]
     is_stated = np.isfinite(in_paper)
@@ -319,7 +319,7 @@ def _choices_section() -> Section:
 
 
 def _numbers_section(record: PaperRecord) -> Section:
-    """List the numbers that the paper prints, with their places."""
+    """List the numbers printed in the paper, with their places."""
     rows = []
     for row in record.tables["numbers"].to_dict("records"):
         is_symbol = row["of"][1:2] == "_" and len(row["of"]) < 5  # such as k_h

@@ -49,7 +49,7 @@ MAIN_OUTCOMES = ("hit", "casts", "E_after")
 
 
 def sweep_page(record: SweepRecord) -> str:
-    """Render the page; the same record gives the same text."""
+    """Render the page of a sweep."""
     main = [outcome for outcome in record.outcomes if outcome.name in MAIN_OUTCOMES]
     with style.context(STYLE_SHEET):
         sections = [_tiles(record, main), _failures_section(record)]
@@ -63,8 +63,8 @@ def sweep_page(record: SweepRecord) -> str:
     intervals = "Bars and brackets are 95 % intervals of means over the seeds."
     if record.seed_count < MIN_SEEDS:
         intervals = (
-            f"Fewer than {MIN_SEEDS} seeds do not show the scatter of a mean, so no "
-            "interval is given."
+            f"There are no intervals, because fewer than {MIN_SEEDS} seeds hardly show "
+            "the scatter of a mean."
         )
     seeds = f"Each with {format_count(record.seed_count, 'seed')}."
     page = Page(
@@ -80,10 +80,10 @@ def sweep_page(record: SweepRecord) -> str:
 
 
 def _describe_largest_effect(record: SweepRecord, main: list[Outcome]) -> str:
-    """Describe the largest effect of a setting on the first outcome that any changes.
+    """Describe the largest effect of a setting, on the first outcome that changes.
 
     An outcome changes if the intervals of its least and largest mean do not overlap.
-    Too few seeds have no intervals, and tell nothing.
+    Returns nothing if there are too few seeds for intervals.
     """
     has_intervals = record.seed_count >= MIN_SEEDS
     if not record.factors or record.finished_jobs.empty or not has_intervals:
@@ -142,13 +142,13 @@ def _failures_section(record: SweepRecord) -> Section | None:
 
 
 def _job_cell(record: SweepRecord, job: Mapping[str, Any]) -> Cell:
-    """Name a job by the settings in which it differs from others."""
+    """Name a job by its varied settings."""
     settings = [f"{name}={job[name]}" for name in record.varied_settings]
     return Cell(" ".join(settings), "code")
 
 
 def _response_section(record: SweepRecord, factor: str) -> Section:
-    """Draw each outcome over a setting, below its title."""
+    """Draw each outcome over a setting."""
     pictures = []
     for outcome in record.outcomes:
         unit = Markup("")
@@ -157,7 +157,7 @@ def _response_section(record: SweepRecord, factor: str) -> Section:
         picture = outcome_curve(record.finished_jobs, outcome, factor, record.units)
         if picture:
             pictures.append((join_sentences([bold_text(outcome.label), unit]), picture))
-    parts: list[Part] = [Text("Nothing is known: no job is done.", "missing")]
+    parts: list[Part] = [Text("No job is finished.", "missing")]
     if pictures:
         lead = "Blue: mean over the other settings and the seeds. Grey: the jobs."
         parts = [Text(lead), Card("", [Small(pictures)])]
@@ -165,9 +165,9 @@ def _response_section(record: SweepRecord, factor: str) -> Section:
 
 
 def _targets_section(record: SweepRecord) -> Section | None:
-    """Map the targets by the casts until they are hit, if their place was varied.
+    """Map the casts until a hit over the targets, if their place was varied.
 
-    There is a map for each combination of the other settings.
+    Each combination of the other settings has a map.
     """
     ended = record.jobs[record.jobs["state"].isin(["done", "failed"])]
     if not set(TARGET_COLUMNS) <= set(record.factors) or record.finished_jobs.empty:

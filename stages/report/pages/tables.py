@@ -1,4 +1,4 @@
-"""The page of a stage without one of its own: the first rows of its tables."""
+"""The default page of a stage: the first rows of its tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ MAX_ROWS = 50
 
 
 def tables_page(facts: StageRecord) -> str:
-    """Render the page; the same facts give the same text."""
+    """Render the default page of a stage."""
     sections = []
     for name, table in facts.artifact.TABLES.items():
         frame = getattr(facts.artifact, name)

@@ -1,4 +1,4 @@
-"""The page of casts, and of estimation alone."""
+"""The page of a run with casts, or of an estimation from stored trials."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stringcast.stages.report.theme import STYLE_SHEET
 
 
 def cast_page(record: RunRecord) -> str:
-    """Render the page; the same record gives the same text."""
+    """Render the page of a run."""
     casts = list(enumerate(record.casts, start=1))
     with style.context(STYLE_SHEET):
         sections: list[Part] = [
@@ -79,11 +79,11 @@ def _describe_task(record: RunRecord) -> str:
 
 
 def _describe_arrival(target: Target) -> str:
-    """Describe how the tip shall arrive; empty if any direction and speed will do."""
+    """Describe the wanted arrival; empty if any direction and speed will do."""
     wanted = []
     if target.direction is not None:
         angle = np.degrees([target.direction, target.direction_tolerance])
         wanted.append(f"in direction {angle[0]:.0f} ± {angle[1]:.0f}°")
     if target.speed is not None:
         wanted.append(f"at {target.speed:.3g} ± {target.speed_tolerance:.2g} m/s")
-    return f" The tip shall arrive {' and '.join(wanted)}." if wanted else ""
+    return f" The tip should arrive {' and '.join(wanted)}." if wanted else ""

@@ -1,4 +1,4 @@
-"""The look at the string before the first cast."""
+"""The section of the look at the string before the first cast."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOOK_ANCHOR = "look"
 
 
 def look_section(record: RunRecord, look: CastRecord, region: ImageRegion) -> Section:
-    """Show the slow trial before the first cast, and what it taught of the string."""
+    """Show the slow trial before the first cast, and its estimate."""
     parts: list[Part] = [Text(_describe_look(record, look))]
     if look.estimate is not None:
         parts.append(Text(sentence_markup(look.estimate.fit["sentence"].iloc[0])))
@@ -42,7 +42,7 @@ def look_section(record: RunRecord, look: CastRecord, region: ImageRegion) -> Se
 
 
 def _describe_look(record: RunRecord, look: CastRecord) -> str:
-    """Describe the slow trial, and how likely a hit was with what it taught."""
+    """Describe the slow trial, and the hit probability with its estimate."""
     commands = look.motion.commands
     hand = record.model.arm.joint_positions(commands[list(JOINTS)].to_numpy())[:, -1]
     velocity = np.gradient(hand, commands["t"], axis=0)
@@ -55,10 +55,10 @@ def _describe_look(record: RunRecord, look: CastRecord) -> str:
     ]
     chance = record.casts[0].motion.outcome.iloc[0].get("chance", np.nan)
     if look.estimate is None:
-        sentences.append("Nothing was learned from it.")
+        sentences.append("Nothing was estimated from it.")
     elif np.isfinite(chance):
         sentences.append(
-            "With the strings that this leaves possible, the predicted hit probability "
-            f"of cast 1 was {chance:.2f}."
+            "With this estimate, the predicted hit probability of cast 1 was "
+            f"{chance:.2f}."
         )
     return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""The parameters of the string that a run estimated."""
+"""The section of the estimated parameters of the string."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from stringcast.stages.report.records import RunRecord
 HISTORY_KEY = (
     ("best value; 0 is the start value", "var(--after)"),
     ("● determined", "none"),
-    ("○ not determined by the data, or not known to be", "none"),
-    ("range searched", "band"),
-    ("95 % interval, where the method gives one", "bar"),
+    ("○ not determined by the data, or unknown", "none"),
+    ("searched range", "band"),
+    ("95 % interval, if the method gives one", "bar"),
 )
 
 
 def parameters_section(record: RunRecord) -> Section:
-    """Show each parameter of the last estimate, and E over time if no cast shows it."""
+    """Show each parameter of the last estimate; without casts also E over time."""
     title = "Parameters of the string"
     if not record.estimates:
         return Section(title, [Text("Nothing was estimated in this run.", "missing")])
@@ -78,8 +78,8 @@ def parameters_section(record: RunRecord) -> Section:
 
 
 def parameter_table(model: Model, estimate: Estimate) -> TableView:
-    """Tabulate what an estimate says about each parameter of a model."""
-    columns = ("parameter", "", "value", "95 % interval", "range searched", "unit")
+    """Tabulate the estimates of a model's parameters."""
+    columns = ("parameter", "", "value", "95 % interval", "searched range", "unit")
     rows = estimate.parameters.set_index("name")
     table = [
         _parameter_row(parameter, rows.loc[parameter.name])

@@ -1,4 +1,4 @@
-"""Parts that the sections of a cast and of a look share."""
+"""Parts shared by the sections of a cast and of a look."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FILM_LAYERS = [
 
 
 def animation_card(record: RunRecord, cast: CastRecord, region: ImageRegion) -> Card:
-    """Animate frames with the measured and simulated strings, if there are any."""
+    """Animate the frames, if any, with the measured and simulated strings."""
     film = cast_film_data(record, cast, region)
     if film is None:
         return missing_card("Animation", NO_FRAMES)
@@ -46,7 +46,7 @@ def animation_card(record: RunRecord, cast: CastRecord, region: ImageRegion) -> 
 
 
 def distance_part(record: RunRecord, cast: CastRecord) -> Part:
-    """Chart the distance of the strings over time, or state that none was read."""
+    """Chart the distance between the strings over time, or state why there is none."""
     chart = distance_chart(record, cast)
     return chart or missing_card("Distance over time", NOTHING_READ)
 
@@ -64,7 +64,7 @@ def matching_part(
 
 
 def cause_table(explanation: Explanation) -> TableView | None:
-    """Tabulate the causes that are probable enough to be shown; None without any."""
+    """Tabulate the probable causes; None without any."""
     table = explanation.explanations
     rows = []
     for cause in table[table["probability"] >= MIN_SHOWN_PROBABILITY].itertuples():
@@ -73,7 +73,9 @@ def cause_table(explanation: Explanation) -> TableView | None:
         if np.isnan(cause.tip_rms):
             tip = "on a coarse mesh"
         rows.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
-    return TableView(("cause", "probability", "tip is off by"), rows) if rows else None
+    return (
+        TableView(("cause", "probability", "misfit of the tip"), rows) if rows else None
+    )
 
 
 def missing_card(title: str, reason: str) -> Card:

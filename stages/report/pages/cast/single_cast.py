@@ -1,4 +1,4 @@
-"""One cast: what was predicted, filmed and learned."""
+"""The section of one cast: prediction, film and estimate."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def cast_section(
 
 
 def _learning_card(cast: CastRecord, surprise: Surprise) -> Card:
-    """Tell what was predicted, whether the trial surprised, and what explains it."""
+    """Show the predicted hit probability, the surprise, and its causes."""
     chance = cast.motion.outcome.iloc[0].get("chance", np.nan)
     rows = [
         ("predicted hit probability", f"{chance:.2f}"),
@@ -116,14 +116,14 @@ def _comparison(
         NOTHING_READ,
     )
 
-    # charts grow, so that both columns have one height
+    # charts grow, so that both columns have the same height
     animation = animation_card(record, cast, region)
     columns = [
         Container("column", [near, distance, matching_part(cast.estimate, cast)]),
         Container("column", [animation, distance_part(record, cast)]),
     ]
 
-    # the joints together are as high as the hand's path beside them
+    # the joint charts together are as high as the paths on their left
     paths = Figure(
         "Paths of hand and tip",
         cast_path_picture(record, cast),
@@ -164,14 +164,14 @@ def _describe_cast(cast: CastRecord) -> Markup:
         sentences.append(misfit)
     if verdict.touched:
         sentences.append(
-            f"The string touched an obstacle in {verdict.touched} frame(s). Nothing is "
-            "learned from its motion after that, and the simulation ignores obstacles."
+            f"The string touched an obstacle in {verdict.touched} frame(s). Its later "
+            "motion is not used, and the simulation ignores obstacles."
         )
     return join_sentences(sentences)
 
 
 def _motions_card(cast: CastRecord) -> Card:
-    """List what became of the motions that the search tried."""
+    """List the outcomes of the motions that the search tried."""
     tried: Part = Text("The number of tried motions was not recorded.", "missing")
     if not cast.motion.attempts.empty:
         ranked = cast.motion.attempts.sort_values("count", ascending=False)
@@ -183,7 +183,7 @@ def _motions_card(cast: CastRecord) -> Card:
     if np.isfinite(plan.get("likeness", np.nan)):
         parts.append(
             Text(
-                f"Where the tip is to hit, its error has a correlation of "
+                f"At the planned hit, the tip's error has a correlation of "
                 f"{plan['likeness']:.2f} with that of the last cast. The prediction is "
                 f"corrected by {format_mm(plan['correction'], 1)}."
             )
@@ -192,7 +192,7 @@ def _motions_card(cast: CastRecord) -> Card:
 
 
 def _link_card(cast: CastRecord) -> Card:
-    """Report commands and frames that were late, lost or not read."""
+    """Report late and lost commands, and late, lost and unread frames."""
     report, readings = cast.trial.link.iloc[0], cast.points.readings
     unread = readings[~readings["valid"].astype(bool)]
     result = "Arm and camera kept their time limits."

@@ -1,4 +1,4 @@
-"""What all casts of a run came to."""
+"""The summary of all casts of a run."""
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ def _tiles(record: RunRecord) -> Tiles:
     best = min(
         verdicts, key=lambda verdict: (not verdict.hit, verdict.distance), default=None
     )
-    distance, meaning = NOT_KNOWN, "how close the tip came: it was read in no frame"
+    distance, meaning = (
+        NOT_KNOWN,
+        "closest distance of the tip: it was read in no frame",
+    )
     if best:
         distance = format_mm(best.distance)
         meaning = "closest distance of the tip to the target's centre"
@@ -93,7 +96,7 @@ def _tiles(record: RunRecord) -> Tiles:
     if mesh_error_m:
         mesh_error = format_mm(mesh_error_m, 1)
         size_meaning += (
-            f"; without the error of the mesh, {mesh_error}, that charts show"
+            f"; without the error of the mesh, {mesh_error}, which charts include"
         )
     return Tiles([(distance, meaning), (rates, rate_meaning), (sizes, size_meaning)])
 

@@ -1,4 +1,4 @@
-"""The page of a diagnosis; each section or two has a file."""
+"""The page of a diagnosis."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SECTIONS: tuple[Callable[[DiagnosisRecord], Part | None], ...] = (
 
 
 def diagnosis_page(facts: StageRecord) -> str:
-    """Render the page; the same facts give the same text."""
+    """Render the page of a diagnosis."""
     record = DiagnosisRecord(facts.artifact, facts.model)
     with style.context(STYLE_SHEET):
         sections = map_in_workers(lambda section: section(record), SECTIONS)

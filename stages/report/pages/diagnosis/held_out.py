@@ -1,4 +1,4 @@
-"""The prediction of trials that were left out of the fit."""
+"""The section on the prediction of held-out trials."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stringcast.stages.report.parts import (
 )
 from stringcast.stages.report.records import DiagnosisRecord
 
-WORSE_FACTOR = 1.2  # in the residual with causes over that without, to be reported
+WORSE_FACTOR = 1.2  # residual with causes over that without, to be reported
 
 
 def held_out_section(record: DiagnosisRecord) -> Section:
@@ -33,7 +33,7 @@ def held_out_section(record: DiagnosisRecord) -> Section:
 
 
 def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
-    """Describe how the trials were predicted, and which worse with the causes."""
+    """Describe how the trials were predicted, and which are worse with the causes."""
     gain = record.document["gain"]
     excluded = record.has_excluded_trials
     trials = "These trials were excluded from the search" if excluded else "Each trial"
@@ -68,7 +68,7 @@ def _describe_prediction(record: DiagnosisRecord) -> list[Markup | str]:
         if WORSE_FACTOR * row["rms_known"] < row["rms_base"]:
             reason = (
                 f"After fitting it as well, {format_mm(row['rms_known'], 1)} remain. "
-                "Either only this trial shows a part of the causes, or the causes are "
+                "Either only this trial shows some of the causes, or the causes are "
                 "wrong. A similar trial would distinguish the two."
             )
         sentences.append(join_sentences([bold_text(worse), reason]))

@@ -1,4 +1,4 @@
-"""The misfit of the simulation: residual maps, and trials side by side."""
+"""The sections on the misfit: residual maps, and trials side by side."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ MAP_CAPTION = (
     "ends with its trial. All maps share the colours."
 )
 TRIALS_LEAD = (
-    "Point at a curve to show every string at that time; drag to zoom, double click to "
+    "Point at a curve to show all strings at that time; drag to zoom, double click to "
     "zoom out. Keyboard: arrows, + and −, 0. Faint lines are the paths of the tips. "
     "Each trial starts at the largest misfit of the base model."
 )
 
 
 def opening_part(record: DiagnosisRecord) -> Part:
-    """Show the trial with the largest misfit, moving, with and without the causes."""
+    """Animate the trial with the largest misfit, with and without the causes."""
     trials = record.drawn_trials
     tiles = verdict_tiles(record)
     if not trials:
@@ -66,7 +66,7 @@ def opening_part(record: DiagnosisRecord) -> Part:
 
 
 def film_layers(record: DiagnosisRecord) -> list[Layer]:
-    """Return the strings of a film: simulated ones by model, and the measured one."""
+    """Return the layers of a film: a string for each model, and the measured one."""
     simulated = [
         Layer(model, MODEL_COLOURS[model], label=label)
         for model, label in model_labels(record).items()
@@ -90,7 +90,7 @@ def misfit_section(record: DiagnosisRecord) -> Section:
 
 
 def _describe_models(record: DiagnosisRecord) -> list[str]:
-    """Describe which models and trials are drawn."""
+    """Describe the drawn models and trials."""
     lead = (
         "The base model is the configured one with its parameters fitted to these "
         "trials, so no choice of parameters removes its misfit."

@@ -1,4 +1,4 @@
-"""The search: predicted gains, similar effects, and the fitted hypotheses."""
+"""The section on the search: predicted gains, similar effects, fitted hypotheses."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from stringcast.stages.report.parts import (
 from stringcast.stages.report.records import DiagnosisRecord
 
 MAX_SHOWN_HYPOTHESES = 12
-MIN_SHOWN_PROBABILITY = 0.05  # a hypothesis as probable is shown in any case
+MIN_SHOWN_PROBABILITY = 0.05  # from which a hypothesis is always shown
 SEARCH_LEAD = (
     "The search adds one cause at a time. It screens every effect of the library to "
     "first order, given the causes already found, and fits the most promising ones "
     "together with the string's parameters. The effect with the most evidence is added "
-    "if it keeps enough evidence whichever trial is left out. Causes that become "
+    "if it keeps enough evidence without any one of the trials. Causes that become "
     "redundant are removed."
 )
 NO_SEARCH_LEAD = "The misfit of the base model is too small for a search for causes."
@@ -103,13 +103,13 @@ def search_section(record: DiagnosisRecord) -> Section:
 
 
 def _untried_table(not_tried: Sequence[Mapping[str, str]]) -> TableView:
-    """Tabulate the effects of the library that were no candidates, and why."""
+    """Tabulate the effects of the library that were not tried, and why."""
     rows = [[Cell(row["effect"], "code"), Cell(row["reason"])] for row in not_tried]
     return TableView(("effect", "reason"), rows)
 
 
 def _entries_table(entries: pd.DataFrame) -> TableView:
-    """Tabulate which cause was added when, by what evidence, and what it explains."""
+    """Tabulate the added causes in order, with their evidence and largest effect."""
     rows = []
     for number, points in entries.groupby("number"):
         by_trial = points.groupby("trial", sort=False)["log_likelihood"].first()

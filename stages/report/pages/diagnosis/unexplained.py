@@ -1,4 +1,4 @@
-"""What remains unexplained, the next experiment, and the string's parameters."""
+"""The sections on unexplained misfit, the next experiment and string parameters."""
 
 from __future__ import annotations
 
@@ -40,15 +40,16 @@ from stringcast.stages.report.parts import (
 from stringcast.stages.report.records import DiagnosisRecord
 
 PROPOSAL_CAPTION = Markup(
-    "The string on the proposed motion as the likeliest hypothesis predicts it, and as "
-    "close to that as the others can come within the uncertainty of their parameters. "
-    "Left: where they differ most. Right: largest distance along the string over time. "
+    "The string on the proposed motion, as predicted by the likeliest hypothesis, and "
+    "by the others with the parameters that come closest to it within their "
+    "uncertainty. Left: when they differ most. Right: largest distance along the "
+    "string over time. "
     "The motion is stored in {} of this folder; {} executes it and decides."
 ).format(code_text("iterations/*/motion"), code_text("+experiment=decide"))
 
 
 def unexplained_section(record: DiagnosisRecord) -> Section:
-    """Show what remains unexplained, the next experiment, and the extended model."""
+    """Show the unexplained misfit, the next experiment, and the extended model."""
     sentence = record.document["unexplained"]["sentence"]
     parts: list[Part] = [Text(sentence)] if sentence else []
     parts.append(_unexplained_part(record))
@@ -79,7 +80,7 @@ def _unexplained_part(record: DiagnosisRecord) -> Part:
         return Text(
             f"The extended model leaves {share} of the base model's misfit at the tip."
         )
-    return Text("Less remains than the tolerance.")
+    return Text("The unexplained misfit is below the tolerance.")
 
 
 # --- parameters of the string

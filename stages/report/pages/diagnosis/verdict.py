@@ -1,4 +1,4 @@
-"""The verdict: tiles, rejected trials, causes, alternatives, and the error budget."""
+"""The verdict: tiles, rejected trials, causes, alternatives and error budget."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ LIKELY_PROBABILITY = 0.5
 
 
 def verdict_tiles(record: DiagnosisRecord) -> Tiles:
-    """Show which trials were used, and how well the models predict."""
+    """Show the number of used trials, and the prediction errors of the models."""
     trials, gain = record.document["trials"], record.document["gain"]
     used, outliers = len(trials["used"]), trials["points_left_out"]["outliers"]
     data = [f"trial{'s' * (used != 1)} used"]
@@ -111,7 +111,7 @@ def causes_section(record: DiagnosisRecord) -> Section:
 
 
 def _alternative_title(record: DiagnosisRecord, name: str) -> str:
-    """Name an alternative; an unknown cause is one in addition to named causes."""
+    """Name an alternative; an unknown cause acts in addition to named causes."""
     title = effect_title(name)
     is_addition = name == "unknown" and record.document["causes"]
     return f"in addition, {title}" if is_addition else title
@@ -120,7 +120,7 @@ def _alternative_title(record: DiagnosisRecord, name: str) -> str:
 def _cause_card(name: str, rows: pd.DataFrame, is_decided: bool) -> Card:
     """Show a cause with the values and the law of its effect.
 
-    is_decided: the data distinguish it from all other causes.
+    is_decided: whether the data distinguish it from all other causes.
     """
     sentence = str(rows["sentence"].iloc[0])
     parts: list[Part] = [Text(f"{sentence[:1].upper()}{sentence[1:]}.", "")]
@@ -158,7 +158,7 @@ def _explain_verdict(record: DiagnosisRecord) -> list[Markup | str]:
 
 
 VERDICT_TEXTS: dict[str, list[Markup | str]] = {
-    "none": ["The misfit is noise and less than the tolerance. No effect is evident."],
+    "none": ["The misfit is noise and below the tolerance. No effect is evident."],
     "partial": [
         Markup(
             "These causes act, but they do not explain all of the misfit: more than "
@@ -176,7 +176,7 @@ VERDICT_TEXTS: dict[str, list[Markup | str]] = {
 
 
 def _explain_group(record: DiagnosisRecord, group: Sequence[str]) -> Markup | str:
-    """Explain that the data do not distinguish a group of causes."""
+    """State that the data do not distinguish a group of causes."""
     table = record.diagnosis.likeness
     cosines = table.loc[
         table["effect"].isin(group) & table["other"].isin(group), "cosine"
