@@ -205,11 +205,11 @@ class CauseSearch:
             key=lambda each: (each.is_deferred, -each.comparison.log_evidence),
         )
         best = most_evident_fit(self.compared.values())
-        is_best_open = extendable is not None and extendable.causes == best.causes
+        is_best_extendable = extendable is not None and extendable.causes == best.causes
         might_suffice = False
         if not finalist.is_deferred:
             might_suffice = self.might_leave_only_noise(finalist)
-        if is_best_open and not might_suffice and self.has_time_to_extend():
+        if is_best_extendable and not might_suffice and self.has_time_to_extend():
             return None
         return finalist
 
@@ -236,13 +236,13 @@ class CauseSearch:
 
         The log evidence of the screening may be too low by `max_deficit`.
         """
-        nothing = self.comparer.base
+        base = self.comparer.base
         noise = noise_m(self.comparer.observations)
-        assert nothing.estimate is not None
-        noise_ratio = min(noise / rms_m(nothing.estimate), 1.0)
-        most = -2 * self.comparer.blocks * np.log(noise_ratio)
+        assert base.estimate is not None
+        noise_ratio = min(noise / rms_m(base.estimate), 1.0)
+        max_gain = -2 * self.comparer.blocks * np.log(noise_ratio)
         evidence = finalist.comparison.log_evidence
-        return bool(evidence + max_deficit(evidence) >= most)
+        return bool(evidence + max_deficit(evidence) >= max_gain)
 
     def add_effect_to(self, base: Comparison) -> None:
         """Screen all effects in addition to causes; the most evident become finalists.
@@ -256,14 +256,14 @@ class CauseSearch:
         screened.sort(key=lambda each: -each.comparison.log_evidence)
         finalists = screened[: self.finalists]
         evidence = [each.comparison.log_evidence for each in finalists]
-        most = max(evidence, default=0.0)
-        gain = most - base.log_evidence
+        best = max(evidence, default=0.0)
+        gain = best - base.log_evidence
         quick = [each.comparison.log_evidence for each in finalists if not each.is_slow]
         for each in finalists:
-            behind = most - each.comparison.log_evidence
-            ahead = each.comparison.log_evidence - max(quick, default=-np.inf)
-            is_deferred = each.is_slow and ahead < MAX_DEFICIT
-            if is_deferred or behind < max_deficit(gain):
+            deficit = best - each.comparison.log_evidence
+            lead = each.comparison.log_evidence - max(quick, default=-np.inf)
+            is_deferred = each.is_slow and lead < MAX_DEFICIT
+            if is_deferred or deficit < max_deficit(gain):
                 self.waiting.append(replace(each, is_deferred=is_deferred))
         if not base.causes:
             # effects that are not fitted keep the evidence of the coarse mesh
@@ -325,10 +325,10 @@ class CauseSearch:
         most_causes = len(best.causes) if is_explained else MAX_CAUSES
         candidates = []
         for causes, each in self.compared.items():
-            is_open = each.estimate is not None and causes not in self.extended
+            is_extendable = each.estimate is not None and causes not in self.extended
             if causes == NO_CAUSE and is_explained and not self.is_surprising:
                 continue  # the causes of earlier trials explain these as well
-            if is_open and len(causes) < most_causes:
+            if is_extendable and len(causes) < most_causes:
                 candidates.append(each)
         return most_evident_fit(candidates) if candidates else None
 

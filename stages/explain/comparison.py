@@ -120,16 +120,16 @@ class Comparer:
         base_start = start[hypothesis.base_indices]
         fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))
         least = float(np.mean(unexplained**2))
-        for residual, fraction in zip(probed, fractions, strict=True):
-            slopes = np.vstack([self._coarse_slopes, residual - unexplained])
+        for with_effect, fraction in zip(probed, fractions, strict=True):
+            slopes = np.vstack([self._coarse_slopes, with_effect - unexplained])
             # the factor takes the effect from absent to the end of its range
             low = np.append(-base_start, 0.0)
             high = np.append(1.0 - base_start, 1.0 / fraction)
             normal = slopes @ slopes.T / len(unexplained)
             gradient = slopes @ unexplained / len(unexplained)
             step = minimise_in_box(with_flat_curvature(normal), gradient, low, high)
-            left = unexplained + step @ slopes
-            least = min(least, float(np.mean(left**2)))
+            residual = unexplained + step @ slopes
+            least = min(least, float(np.mean(residual**2)))
         return least
 
     def screened_square(self, effects: Sequence[type[Effect]]) -> float:
@@ -256,5 +256,5 @@ def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> b
     if each.estimate is None or base.estimate is None:
         return False
     misfit = rms_m(base.estimate) ** 2 - noise_m**2
-    left = rms_m(each.estimate) ** 2 - noise_m**2
-    return left <= (1 - MIN_EXPLAINED_FRACTION) * misfit
+    remaining = rms_m(each.estimate) ** 2 - noise_m**2
+    return remaining <= (1 - MIN_EXPLAINED_FRACTION) * misfit

@@ -171,8 +171,8 @@ def predict_outcome(
     order = np.argsort(curves.duration, kind="stable")
     batches = min(math.ceil(motions * len(samples) / BATCH_SIZE), motions)
     for batch in np.array_split(order, batches):
-        some = curves.select(batch)
-        part = simulate_motions(task, some, samples).judge(task)
+        batch_curves = curves.select(batch)
+        part = simulate_motions(task, batch_curves, samples).judge(task)
         outcome.distance[batch] = part.distance
         outcome.free_share[batch] = part.free_share
         outcome.hit[batch] = part.hit

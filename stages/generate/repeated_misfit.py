@@ -1,6 +1,6 @@
 """The misfit of the last cast, which a similar motion repeats.
 
-An effect missing in the model moves the tip alike on similar motions. The misfit is
+An effect missing in the model moves the tip similarly on similar motions. The misfit is
 therefore a Gaussian process over the path of the hand (Kennedy and O'Hagan, J. R. Stat.
 Soc. B 63, 425, 2001), known on the last cast. A similar motion is corrected by this
 misfit. On a distant motion the misfit counts as uncertainty. Iterative learning control
