@@ -59,7 +59,7 @@ MISSING_CELLS = [
 YAML_BEGINNING = "# A whole copy of this file has the line '# end'."
 YAML_END = "# end"
 READ_ERRORS = (pa.ArrowException, OSError, ValueError)  # of a damaged file
-# kinds of YAML values that no setting has
+# tags of YAML values that are not allowed
 REFUSED_YAML_TAGS = {
     f"tag:yaml.org,2002:{kind}" for kind in ("set", "omap", "pairs", "binary")
 }

@@ -1,4 +1,4 @@
-"""Libraries that few commands need, imported at their first use."""
+"""Libraries for few commands, imported at their first use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 from stringcast.data.errors import ExpectedError
 
-# libraries that are installed with an extra, by the name of their module
+# libraries of extras by module name
 EXTRAS = {
     "serial": ("pyserial", "lab"),
     "arviz": ("ArviZ", "arviz"),
@@ -19,7 +19,7 @@ EXTRAS = {
 
 
 class MissingPackageError(ExpectedError):
-    """A library is needed that an extra of this package installs."""
+    """A library of an extra of this package is missing."""
 
 
 def import_optional(module: str) -> ModuleType:
@@ -42,8 +42,7 @@ def import_optional(module: str) -> ModuleType:
 class LazyModule:
     """A module imported at its first use, such as `cv2 = LazyModule("cv2")`.
 
-    It spares commands that do not need it: OpenCV takes 0.1 s to load, SciPy's
-    rotations half a second.
+    OpenCV takes 0.1 s to load, SciPy's rotations half a second.
     """
 
     def __init__(self, module: str) -> None:
@@ -55,7 +54,7 @@ class LazyModule:
         return import_optional(self._name)
 
     def import_now(self) -> None:
-        """Import the module, so that worker processes need not do so one by one."""
+        """Import the module, so that forked workers need not."""
         self._module  # noqa: B018
 
     def __getattr__(self, name: str) -> Any:

@@ -216,7 +216,7 @@ def _distance_to_median(xy: np.ndarray, place: np.ndarray) -> float:
 def _is_away(
     xy: np.ndarray, first: int, last: int, limit: float, must_return: bool
 ) -> bool:
-    """Return whether a run of samples lies away from those before and after it.
+    """Return whether a run of samples is far from the samples around it.
 
     must_return: whether the track must continue near its position before.
     """

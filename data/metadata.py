@@ -236,7 +236,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
 
 
 def _first_fault(error: ValidationError) -> str:
-    """Describe the first fault: its key, its value and what it must be."""
+    """Describe the first fault: its key, value and requirement."""
     fault = error.errors()[0]
     key = ".".join(str(part) for part in fault["loc"] if part != "[key]")
     if fault["type"] == "missing":

@@ -105,7 +105,7 @@ def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
 
 def _missing_table_remedy(folder: Path) -> str:
     """Describe the remedy for a missing table, which may have another name."""
-    # runs lie in outputs/<date>/<time>-<name>; the newest is last
+    # runs are in outputs/<date>/<time>-<name>; the newest is last
     runs = sorted(folder.glob(f"*/*/{DATASET_FILE}"))
     inner = [*sorted(folder.glob(f"*/{DATASET_FILE}")), *reversed(runs)]
     if inner:

@@ -197,7 +197,7 @@ def _count_zero_rows(
 def _refuse_unknown_columns(
     recordings: Sequence[SourceRecording], hints: ColumnHints
 ) -> None:
-    """Refuse roles that do not exist, and columns that no file has."""
+    """Refuse unknown roles and missing columns."""
     tables = (recording.table for recording in recordings)
     names = list(dict.fromkeys(map(str, chain.from_iterable(tables))))
     for role, text in hints.columns:

@@ -25,7 +25,7 @@ class Workspace:
             raise ValueError("each of workspace.low must be below its workspace.high")
 
     def is_left_by(self, points: np.ndarray) -> np.ndarray:
-        """Return whether any of the points (..., P, 2) [m] lies outside, (...)."""
+        """Return whether any of the points (..., P, 2) [m] is outside, (...)."""
         is_inside = (points >= self.low) & (points <= self.high)
         return np.asarray(~is_inside.all(axis=(-2, -1)))
 

@@ -1,8 +1,8 @@
-"""Files of results that a step has reached, so that a killed step goes on.
+"""Files of intermediate results, so that a killed step can continue.
 
-Each is written whole, under the hash of what decides it: the function and its arguments
-(`stages.kept_results`), the code and the packages. They are removed when the step
-itself is stored.
+Each is written atomically. Its name is a hash of the function and its arguments
+(`stages.kept_results`), the code and the packages. The files are removed when the step
+is stored.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stringcast.data import disk, store
 from stringcast.data.file_checks import MAX_TABLE_BYTES
 from stringcast.stages.kept_results import Arrays
 
-NUMBER_TYPE = np.dtype("<f8")  # of all results
+NUMBER_TYPE = np.dtype("<f8")  # of results
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class KeptFiles:
     Parameters
     ----------
     folder : Path
-        Where the files lie, beside the step that they are for.
+        Folder of the files, next to that of the step.
     versions : mapping
         State of the code and of the packages.
     """
@@ -58,7 +58,7 @@ class KeptFiles:
             return None
 
     def keep(self, key: str, result: Arrays) -> None:
-        """Write a result; raise DataError if the disk does not take it."""
+        """Write a result; raise DataError if it cannot be written."""
         numbers = b"".join(array.astype(NUMBER_TYPE).tobytes() for array in result)
         digest = hashlib.sha256(numbers).hexdigest()
         header = {"shapes": [array.shape for array in result], "sha256": digest}
@@ -67,7 +67,7 @@ class KeptFiles:
         )
 
     def remove(self) -> None:
-        """Remove all results, if there are any."""
+        """Remove all results."""
         if self.folder.is_dir():
             disk.remove(self.folder)
 

@@ -22,7 +22,7 @@ def use_given_source(settings: Settings, given: set[str]) -> Settings:
 
 
 def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
-    """Raise UserError for a source of pictures that is not used or does not exist.
+    """Raise UserError for an unused or missing source of pictures.
 
     given: names of settings on the command line.
     """
