@@ -67,7 +67,7 @@ class KeptFiles:
         )
 
     def remove(self) -> None:
-        """Remove all results."""
+        """Remove all stored results of the step."""
         if self.folder.is_dir():
             disk.remove(self.folder)
 
