@@ -31,7 +31,7 @@ from stringcast.stages.inference.laplace import (
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
-    MAX_PROMISES_BEHIND,
+    MAX_GAINS_BEHIND,
     refine_solution,
     screen_candidates,
     search_parameters,
@@ -171,7 +171,7 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
             np.stack([fit.chi, other]),
             BEGINNING_ITERATIONS,
             STRONG_LOG_EVIDENCE,
-            MAX_PROMISES_BEHIND,
+            MAX_GAINS_BEHIND,
         )
         ends.append(run.chi)
     ends_of_all = np.concatenate(ends)

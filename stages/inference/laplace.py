@@ -265,7 +265,7 @@ def evaluate_fit(
         grid_points,
         by_trial,
         float(by_trial.sum() + prior + volume),
-        solver.promised_gain(curvature, gradient, chi),
+        solver.predicted_gain(curvature, gradient, chi),
     )
 
 

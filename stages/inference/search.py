@@ -43,7 +43,7 @@ MIN_FINALISTS = 8  # starts that go on, if they have reached different minima
 # Of the gain that its slopes predict: a start further behind the best is dropped. In
 # ten drawn trials a start behind by twice its predicted gain still became the best, and
 # one behind by 25 times did not.
-MAX_PROMISES_BEHIND = 10.0
+MAX_GAINS_BEHIND = 10.0
 # in log-likelihood: such gains still add up along a valley
 REFINEMENT_MIN_GAIN = 0.005
 MAX_REFINEMENT_ROUNDS = 10  # usually three are enough
@@ -146,7 +146,7 @@ def _fit_whole_trials(
     """Fit whole trials from starts (R, P); return the best exponents (P,)."""
     with_noise = with_estimated_noise(likelihood, starts[0])
     runs = fit_least_squares(
-        with_noise, starts, iterations, max_promises_behind=MAX_PROMISES_BEHIND
+        with_noise, starts, iterations, max_gains_behind=MAX_GAINS_BEHIND
     )
     return np.asarray(runs.chi[np.argmin(runs.loss)])
 

@@ -123,7 +123,7 @@ class SolverRuns:
         Whether the run goes on, (R,).
     normal, gradient
         Curvature (R, P, P) and gradient (R, P) of half the loss.
-    promise
+    predicted_share
         Share of the loss that the best step removes if slopes are constant, (R,).
     """
 
@@ -139,7 +139,7 @@ class SolverRuns:
     active: np.ndarray
     normal: np.ndarray = field(repr=False)
     gradient: np.ndarray = field(repr=False)
-    promise: np.ndarray
+    predicted_share: np.ndarray
 
     @classmethod
     def start(
@@ -161,13 +161,13 @@ class SolverRuns:
             active=np.ones(count, dtype=bool),
             normal=np.zeros((count, size, size)),
             gradient=np.zeros((count, size)),
-            promise=np.zeros(count),
+            predicted_share=np.zeros(count),
         )
 
     @property
-    def promised_gains(self) -> np.ndarray:
+    def predicted_gains(self) -> np.ndarray:
         """Gains in log-likelihood that the slopes predict for the best steps, (R,)."""
-        return np.asarray(0.5 * self.residual.shape[1] * self.promise)
+        return np.asarray(0.5 * self.residual.shape[1] * self.predicted_share)
 
     @property
     def log_likelihood_behind(self) -> np.ndarray:
@@ -198,7 +198,7 @@ def fit_least_squares(
     starts: np.ndarray,
     max_iterations: int = MAX_ITERATIONS,
     min_gain: float = MIN_GAIN,
-    max_promises_behind: float = np.inf,
+    max_gains_behind: float = np.inf,
     held: np.ndarray | None = None,
 ) -> SolverRuns:
     """Minimise the loss from several starts in parallel.
@@ -209,7 +209,7 @@ def fit_least_squares(
         Exponents, (R, P).
     min_gain
         A step that gains less log-likelihood is slow.
-    max_promises_behind
+    max_gains_behind
         A run stops if it is further behind the best than this multiple of the gain that
         its slopes predict.
     held
@@ -220,8 +220,8 @@ def fit_least_squares(
         if not runs.active.any():
             break
         iterate_runs(problem, runs, min_gain)
-        promised = np.maximum(runs.promised_gains, SMALLEST_FLOAT)
-        is_hopeless = runs.log_likelihood_behind > max_promises_behind * promised
+        predicted = np.maximum(runs.predicted_gains, SMALLEST_FLOAT)
+        is_hopeless = runs.log_likelihood_behind > max_gains_behind * predicted
         runs.active &= ~is_hopeless
     return runs
 
@@ -252,7 +252,7 @@ def iterate_runs(problem: Problem, runs: SolverRuns, min_gain: float) -> None:
     """Linearise all active runs and move them (min_gain: see `fit_least_squares`)."""
     active = np.flatnonzero(runs.active)
     _linearise_runs(problem, runs, active[runs.stale[active]])
-    runs.active &= runs.promised_gains > NEGLIGIBLE_SHARE * min_gain
+    runs.active &= runs.predicted_gains > NEGLIGIBLE_SHARE * min_gain
     active = np.flatnonzero(runs.active)
     if active.size:
         _step_runs(problem, runs, active, min_gain)
@@ -327,11 +327,11 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     for run in chosen:  # normal and gradient are those of half the loss
         free = ~runs.held[run]
         normal = runs.normal[run][np.ix_(free, free)]
-        gain = promised_gain(normal, runs.gradient[run, free], runs.chi[run, free])
-        runs.promise[run] = 2 * gain / max(runs.loss[run], SMALLEST_FLOAT)
+        gain = predicted_gain(normal, runs.gradient[run, free], runs.chi[run, free])
+        runs.predicted_share[run] = 2 * gain / max(runs.loss[run], SMALLEST_FLOAT)
 
 
-def promised_gain(
+def predicted_gain(
     curvature: np.ndarray, gradient: np.ndarray, chi: np.ndarray
 ) -> float:
     """Compute how far a quadratic falls from chi (P,) to its minimum in [0, 1].
@@ -360,7 +360,8 @@ def _step_runs(
     losses = np.full(points.shape[:2], np.inf)
 
     # First the least damped steps, then the others where these gain too little
-    sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * runs.promise[active])
+    predicted_share = runs.predicted_share[active]
+    sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * predicted_share)
     is_least_damped = np.arange(points.shape[1]) % len(DAMPING_FACTORS) == 0
     batches = [is_least_damped, ~is_least_damped]
     if losses.size <= problem.candidates_at_once:  # all take no longer than one
@@ -390,10 +391,10 @@ def _step_runs(
             runs.is_narrow[run] = False
             is_slow = gain <= min_gain
             if is_slow:
-                is_promising = runs.promised_gains[run] > min_gain
-                runs.active[run] = is_promising and not runs.is_slow[run]
+                may_gain = runs.predicted_gains[run] > min_gain
+                runs.active[run] = may_gain and not runs.is_slow[run]
             runs.is_slow[run] = is_slow
-        elif runs.promised_gains[run] <= min_gain:
+        elif runs.predicted_gains[run] <= min_gain:
             runs.active[run] = False
         elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
             runs.damping[run] *= DAMPING_INCREASE

@@ -113,8 +113,8 @@ def test_the_predicted_gain_of_a_step_is_the_fall_of_a_quadratic_within_bounds(
     gradient, gain
 ):
     curvature = np.diag([4.0, 2.0])
-    promised = solver.promised_gain(curvature, np.array(gradient), np.zeros(2))
-    assert promised == pytest.approx(gain)
+    predicted = solver.predicted_gain(curvature, np.array(gradient), np.zeros(2))
+    assert predicted == pytest.approx(gain)
 
 
 def test_the_error_of_the_evidence_is_the_gain_to_the_best_exponents():
@@ -427,7 +427,7 @@ def test_difference_widths_move_points_by_a_tenth_of_the_residual_within_limits(
 
 
 def fake_step(
-    monkeypatch, losses, damping=0.5, min_gain=0.05, promise=0.9, is_slow=False
+    monkeypatch, losses, damping=0.5, min_gain=0.05, predicted_share=0.9, is_slow=False
 ):
     """Step a run with ten residuals, loss 1, and given losses of eight trial steps."""
     points = np.arange(8.0)[:, None]
@@ -446,7 +446,7 @@ def fake_step(
     runs.stale[:] = False
     runs.is_slow[:] = is_slow
     runs.is_narrow[:] = True
-    runs.promise[:] = promise
+    runs.predicted_share[:] = predicted_share
     solver._step_runs(problem, runs, np.array([0]), min_gain)
     return runs
 
@@ -473,18 +473,18 @@ def test_a_step_that_gains_what_slopes_predict_needs_no_further_trial_step(monke
         losses = np.full(8, 0.1)
         losses[[0, 4]] = 0.7
         losses[least_damped] = 0.59
-        runs = fake_step(monkeypatch, losses, promise=0.5)
+        runs = fake_step(monkeypatch, losses, predicted_share=0.5)
         assert runs.chi[0, 0] == least_damped
         losses[least_damped] = 0.61
-        runs = fake_step(monkeypatch, losses, promise=0.5)
+        runs = fake_step(monkeypatch, losses, predicted_share=0.5)
         assert runs.loss[0] == pytest.approx(0.1)
 
 
 def test_a_run_stops_if_it_gains_too_little_or_no_damping_helps(monkeypatch):
     """Ten residuals gain 5 ln(loss before / after) in log-likelihood."""
     large, small = np.full(8, np.exp(-0.0102)), np.full(8, np.exp(-0.0098))
-    assert fake_step(monkeypatch, large, promise=0.0099).active[0]
-    assert not fake_step(monkeypatch, small, promise=0.0099).active[0]
+    assert fake_step(monkeypatch, large, predicted_share=0.0099).active[0]
+    assert not fake_step(monkeypatch, small, predicted_share=0.0099).active[0]
     assert fake_step(monkeypatch, np.zeros(8), min_gain=3000).active[0]
     assert not fake_step(monkeypatch, np.zeros(8), min_gain=4000).active[0]
     for losses in (np.ones(8), np.full(8, 2.0)):
