@@ -7,8 +7,8 @@ criterion (Schwarz 1978) for independent blocks of time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,11 +16,21 @@ import pandas as pd
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
+from stringcast.stages.common import rms
 from stringcast.stages.inference.covariance import linearise
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
-from stringcast.stages.inference.mesh import mesh_ladder, with_corrected_points
-from stringcast.stages.inference.prepared_trial import prepare_trial
+from stringcast.stages.inference.mesh import (
+    REFERENCE_REFINEMENT,
+    likelihood_on_mesh,
+    mesh_ladder,
+    with_corrected_points,
+)
+from stringcast.stages.inference.prepared_trial import (
+    PreparedTrial,
+    prepare_trial,
+    with_model,
+)
 from stringcast.stages.inference.search import with_estimated_noise
 from stringcast.stages.inference.solver import (
     fit_least_squares,
@@ -52,12 +62,24 @@ class Comparison:
     ----------
     causes : names of the effects; empty for the original model
     log_evidence : gain over the original model
+    rms_m : root mean square residual of the centre-line [m]
     estimate : estimate with the causes, if they were fitted
+    screened : exponents by name after the screening, if they were not fitted
     """
 
     causes: tuple[str, ...]
     log_evidence: float
+    rms_m: float
     estimate: Estimate | None = None
+    screened: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def exponents(self) -> Mapping[str, float]:
+        """Exponents of all parameters by name."""
+        if self.estimate is None:
+            return self.screened
+        fitted = self.estimate.parameters
+        return dict(zip(fitted["name"], fitted["chi"], strict=True))
 
 
 @dataclass(frozen=True)
@@ -71,7 +93,9 @@ class Comparer:
     observations : sequence of Observation
         The trials.
     base : Comparison
-        Comparison of this model with the trials, fitted.
+        Comparison of this model with the trials. It may have exponents of more causes.
+    original_rms_m : float
+        Root mean square residual of the original model [m].
     blocks : int
         Number of independent blocks of time in the trials.
     fit_model : callable
@@ -83,6 +107,7 @@ class Comparer:
     model: Model
     observations: Sequence[Observation]
     base: Comparison
+    original_rms_m: float
     blocks: int
     fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
     seed: int
@@ -92,27 +117,57 @@ class Comparer:
         extended = self.model.with_effects(*find_effects(base.causes))
         return replace(self, model=extended, base=base)
 
+    def screen(self, effects: Sequence[type[Effect]]) -> Comparison:
+        """Compare effects by a few iterations that start at the base.
+
+        They start on a coarse mesh at the best probes of the last effect. The mesh
+        error at the base is subtracted. The error at the new optimum differs: with two
+        trials, the log evidence of the right cause was too low by 150. The iterations
+        are therefore continued on the given mesh, corrected at the new optimum.
+        """
+        hypothesis, coarse, start = self._with_effects_on_coarse_mesh(effects)
+        probes = self._probes(hypothesis, effects[-1], start)
+        squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
+        starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
+        # the solver assumes independent coordinates, the evidence independent blocks
+        coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
+        min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
+        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
+        chi = runs.chi[np.argmin(runs.loss)]
+        given = self._likelihood_on_mesh(hypothesis, 1)
+        corrected = with_estimated_noise(with_corrected_points(given, chi), chi)
+        (chi,) = fit_least_squares(
+            corrected, chi[None], SCREENING_ITERATIONS, min_gain
+        ).chi
+        compared = self.comparison(effects, self._limit_rms_m(hypothesis, chi))
+        exponents = dict(zip(hypothesis.model.names, chi.tolist(), strict=True))
+        return replace(compared, screened=exponents)
+
     def comparison(
         self,
         effects: Sequence[type[Effect]],
-        square_ratio: float,
+        residual_m: float,
         estimate: Estimate | None = None,
     ) -> Comparison:
-        """Compute the log evidence of effects from the ratio of mean squares."""
-        gain = self.blocks * -np.log(max(square_ratio, np.finfo(float).tiny))
-        added = sum(len(effect.parameters) for effect in effects)
-        evidence = gain - 0.5 * added * np.log(self.blocks)
+        """Compute the log evidence of effects from their residual [m]."""
         causes = [*self.base.causes, *(effect.name for effect in effects)]
-        return Comparison(
-            tuple(sorted(causes)), self.base.log_evidence + float(evidence), estimate
-        )
+        known = sum(len(effect.parameters) for effect in find_effects(causes))
+        gain = 2 * self.blocks * np.log(self.original_rms_m / residual_m)
+        evidence = float(gain - 0.5 * known * np.log(self.blocks))
+        return Comparison(tuple(sorted(causes)), evidence, residual_m, estimate)
+
+    def with_gain(self, compared: Comparison, gain: float) -> Comparison:
+        """Return a comparison with a higher log evidence and a smaller residual."""
+        residual_m = compared.rms_m * float(np.exp(-0.5 * gain / self.blocks))
+        evidence = compared.log_evidence + gain
+        return replace(compared, log_evidence=evidence, rms_m=residual_m)
 
     def linear_square(self, effect: type[Effect]) -> float:
         """Compute the mean square residual with an effect in linear approximation.
 
         The effect is simulated at several probes. Each change of the points, times a
         fitted factor, is combined with a linear fit of the other parameters; the least
-        mean square is returned. It costs a tenth of `screened_square`.
+        mean square is returned. It costs a tenth of `screen`.
         """
         hypothesis, coarse, start = self._with_effects_on_coarse_mesh((effect,))
         probes = self._probes(hypothesis, effect, start)
@@ -132,35 +187,35 @@ class Comparer:
             least = min(least, float(np.mean(residual**2)))
         return least
 
-    def screened_square(self, effects: Sequence[type[Effect]]) -> float:
-        """Compute the mean square residual after a few iterations on a coarse mesh.
+    def _limit_rms_m(self, hypothesis: Hypothesis, chi: np.ndarray) -> float:
+        """Compute the root mean square residual at exponents (P,) [m].
 
-        They start at the best probes of the last effect. The mesh error at the estimate
-        is subtracted. Otherwise effects that resemble it, such as a tilt of gravity,
-        would rank too high.
+        The string has a far finer mesh, or the given one if this leaves less, as in
+        `mesh_limit.refine_at_mesh_limit`.
         """
-        hypothesis, coarse, start = self._with_effects_on_coarse_mesh(effects)
-        starts = start[None]
-        if effects:
-            probes = self._probes(hypothesis, effects[-1], start)
-            squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
-            starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
-        # the solver assumes independent coordinates, the evidence independent blocks
-        coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
-        min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
-        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
-        return float(np.mean(runs.residual[np.argmin(runs.loss)] ** 2))
+        residuals_m = []
+        for factor in (1, REFERENCE_REFINEMENT):
+            string = self._likelihood_on_mesh(hypothesis, factor)
+            residuals = string.residuals_by_trial(chi[None])
+            distances = []
+            for trial, residual in zip(string.data.trials, residuals, strict=True):
+                errors = residual.reshape(-1, 2) * trial.sigma[:, None]
+                distances.append(np.hypot(*errors.T))
+            residuals_m.append(rms(np.concatenate(distances)))
+        return min(residuals_m)
 
     @cached_property
     def _on_coarse_mesh(self) -> Likelihood:
-        """The likelihood on a coarse mesh, corrected for its error at the estimate."""
-        coarse, start = self._coarse_likelihood(Hypothesis(self.model))
+        """The likelihood on a coarse mesh, corrected for its error at the base."""
+        hypothesis = Hypothesis(self.model)
+        coarse = self._likelihood_on_mesh(hypothesis, self._coarse_factor)
+        start = self._start(hypothesis)
         return with_estimated_noise(with_corrected_points(coarse, start), start)
 
     @cached_property
     def _coarse_slopes(self) -> np.ndarray:
-        """Jacobian of the residuals at the estimate, (P, N)."""
-        _, start = self._coarse_likelihood(Hypothesis(self.model))
+        """Jacobian of the residuals at the base, (P, N)."""
+        start = self._start(Hypothesis(self.model))
         return linearise(self._on_coarse_mesh, start).slope
 
     def _with_effects_on_coarse_mesh(
@@ -169,33 +224,41 @@ class Comparer:
         """Add effects to the model on a coarse mesh.
 
         Returns the hypothesis, its likelihood corrected for the mesh error, and the
-        exponents (P,) of the estimate, with the effects absent.
+        exponents (P,) of the base, with the effects absent.
         """
         hypothesis = Hypothesis(self.model, tuple(effects))
-        coarse, start = self._coarse_likelihood(hypothesis)
-        if hypothesis.model.string == self.model.string:
-            trials = []
-            known = self._on_coarse_mesh.data.trials
-            for trial, corrected in zip(coarse.data.trials, known, strict=True):
-                trials.append(replace(trial, points=corrected.points))
-            coarse = coarse.with_trials(tuple(trials))
-        else:
-            # a string with shorter steps has another error
-            coarse = with_corrected_points(coarse, start)
-        return hypothesis, with_estimated_noise(coarse, start), start
+        coarse = self._likelihood_on_mesh(hypothesis, self._coarse_factor)
+        start = self._start(hypothesis)
+        string, known = hypothesis.model.string, self.model.string
+        has_same_mesh = string.points == known.points
+        if has_same_mesh and string.largest_step == known.largest_step:
+            # absent effects change neither the error nor the noise
+            trials = with_model(self._on_coarse_mesh.data.trials, coarse.model)
+            return hypothesis, coarse.with_trials(trials), start
+        corrected = with_corrected_points(coarse, start)
+        return hypothesis, with_estimated_noise(corrected, start), start
 
-    def _coarse_likelihood(
-        self, hypothesis: Hypothesis
-    ) -> tuple[Likelihood, np.ndarray]:
-        """Return the likelihood on a coarse mesh, and the exponents of the estimate."""
-        assert self.base.estimate is not None
-        trials = [prepare_trial(hypothesis.model, o) for o in self.observations]
-        likelihood = Likelihood(TrialData(tuple(trials)), hypothesis.model)
-        ladder = mesh_ladder(likelihood)
-        coarse = ladder[min(COARSE_LEVEL, len(ladder) - 1)]
-        fitted = self.base.estimate.parameters
-        exponents = dict(zip(fitted["name"], fitted["chi"], strict=True))
-        return coarse, hypothesis.exponents_from(exponents)
+    @cached_property
+    def _trials(self) -> tuple[PreparedTrial, ...]:
+        """The trials with their motions and initial states."""
+        return tuple(prepare_trial(self.model, o) for o in self.observations)
+
+    @cached_property
+    def _coarse_factor(self) -> float:
+        """Segments of the coarse mesh over segments of the given mesh."""
+        given = self._likelihood_on_mesh(Hypothesis(self.model), 1)
+        level = min(COARSE_LEVEL, len(mesh_ladder(given)) - 1)
+        return float(0.5**level)
+
+    def _likelihood_on_mesh(self, hypothesis: Hypothesis, factor: float) -> Likelihood:
+        """Return the likelihood of a hypothesis with `factor` times the segments."""
+        trials = with_model(self._trials, hypothesis.model)
+        given = Likelihood(TrialData(trials), hypothesis.model)
+        return given if factor == 1 else likelihood_on_mesh(given, factor)
+
+    def _start(self, hypothesis: Hypothesis) -> np.ndarray:
+        """Return the exponents (P,) of the base, with the effects absent."""
+        return hypothesis.exponents_from(self.base.exponents)
 
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
@@ -218,12 +281,14 @@ class Comparer:
         self, effects: Sequence[type[Effect]], start: Estimate | None
     ) -> Comparison:
         """Fit the model with effects, from new starts and from `start`."""
-        base = self.base.estimate
-        assert base is not None
         extended = self.model.with_effects(*effects)
         fitted = self.fit_model(extended, self.observations, start)
-        square_ratio = (rms_m(fitted) / rms_m(base)) ** 2
-        return self.comparison(effects, square_ratio, fitted)
+        return self.comparison(effects, rms_m(fitted), fitted)
+
+
+def without_causes(estimate: Estimate) -> Comparison:
+    """Return the comparison of the original model."""
+    return Comparison(NO_CAUSE, 0.0, rms_m(estimate), estimate)
 
 
 def rms_m(estimate: Estimate) -> float:
@@ -236,12 +301,6 @@ def tip_rms_m(estimate: Estimate | None) -> float:
     return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
 
 
-def most_evident_fit(compared: Iterable[Comparison]) -> Comparison:
-    """Return the most evident of the fitted comparisons."""
-    fitted = [each for each in compared if each.estimate is not None]
-    return max(fitted, key=lambda each: each.log_evidence)
-
-
 def noise_m(observations: Sequence[Observation]) -> float:
     """Return the distance by which noise alone moves a measured point [m]."""
     sigma = pd.concat([observation.points["sigma"] for observation in observations])
@@ -249,12 +308,10 @@ def noise_m(observations: Sequence[Observation]) -> float:
 
 
 def explains_half(each: Comparison, base: Comparison, noise_m: float = 0.0) -> bool:
-    """Return whether fitted causes explain half of the mean square misfit.
+    """Return whether causes explain half of the mean square misfit.
 
     noise_m: root mean square noise, which is not counted as misfit [m].
     """
-    if each.estimate is None or base.estimate is None:
-        return False
-    misfit = rms_m(base.estimate) ** 2 - noise_m**2
-    remaining = rms_m(each.estimate) ** 2 - noise_m**2
+    misfit = base.rms_m**2 - noise_m**2
+    remaining = each.rms_m**2 - noise_m**2
     return remaining <= (1 - MIN_EXPLAINED_FRACTION) * misfit

@@ -42,6 +42,15 @@ def posterior_probabilities(
     return {causes: probabilities[causes] for causes in ranked}
 
 
+def most_probable_fit(
+    compared: Mapping[tuple[str, ...], Comparison],
+    probabilities: Mapping[tuple[str, ...], float],
+) -> Comparison:
+    """Return the most probable causes that were fitted, or no cause."""
+    fitted = [c for c in probabilities if compared[c].estimate is not None]
+    return compared[max(fitted, key=lambda causes: probabilities[causes])]
+
+
 def decide(
     compared: Mapping[tuple[str, ...], Comparison],
     probabilities: Mapping[tuple[str, ...], float],
@@ -58,7 +67,7 @@ def decide(
     """
     base = compared[NO_CAUSE]
     assert base.estimate is not None
-    best = compared[next(iter(probabilities))]
+    best = most_probable_fit(compared, probabilities)
     if best.causes and explains_half(best, base):
         return _decide_about(
             best,

@@ -23,12 +23,7 @@ from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
-from stringcast.stages.explain.cause_search import (
-    MAX_CAUSES,
-    Budget,
-    CauseSearch,
-    Finalist,
-)
+from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
     Comparer,
@@ -37,13 +32,15 @@ from stringcast.stages.explain.comparison import (
     noise_m,
     rms_m,
     tip_rms_m,
+    without_causes,
 )
 from stringcast.stages.explain.decision import (
     MIXED_PROBABILITY,
     decide,
+    most_probable_fit,
     posterior_probabilities,
 )
-from stringcast.stages.explain.noise_ratios import MAX_NOISE_RATIO, compare_with_noise
+from stringcast.stages.explain.noise_ratios import compare_with_noise
 from stringcast.stages.inference.likelihood import time_blocks
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
@@ -110,7 +107,7 @@ def explain(
     trials = [prepare_trial(model, observation) for observation in observations]
     effects = candidate_effects(model, effects_by_name(), trials)
     blocks = int(time_blocks(trials).max()) + 1
-    base = Comparison(NO_CAUSE, 0.0, estimate)
+    base = without_causes(estimate)
     fit_model = partial(
         fit_from_nothing,
         seed=seed,
@@ -120,27 +117,32 @@ def explain(
         iterations=iterations,
         matching=matching,
     )
-    compare = Comparer(model, observations, base, blocks, fit_model, seed)
-    compared = {NO_CAUSE: base}
-    for causes in earlier:
-        is_best = previous is not None and causes == next(iter(previous.cause_sets))
-        start = previous if is_best else estimate
+    comparer = Comparer(model, observations, base, base.rms_m, blocks, fit_model, seed)
+    fitted = {NO_CAUSE: base}
+    if earlier:
         with budget.measure_fit():
-            compared[causes] = compare.fit(find_effects(causes), start)
+            known = comparer.fit(find_effects(earlier[0]), previous)
+        fitted[known.causes] = known
 
-    search = CauseSearch(compare, effects, compared, finalists, budget, is_surprising)
-    if previous is not None and not previous.named_causes:
-        search.waiting += next_most_evident(previous, earlier, compare)
+    search = CauseSearch(
+        comparer, effects, fitted, finalists, budget, is_surprising, earlier
+    )
+    if previous is not None and earlier:
+        rivals = rivals_of_earlier(previous, earlier, comparer, known)
+        search.screened[NO_CAUSE] = rivals
     search.search(tolerance_m)
+    compared = search.explaining()
     probabilities = posterior_probabilities(compared, len(effects))
-    best = compared[next(iter(probabilities))]
+    best = most_probable_fit(compared, probabilities)
     explaining = best if explains_half(best, base) else base
     noise_ratios = search.noise_ratios_of(explaining)
     # several false effects together may fit a few trials, so rivals must be compared
     is_named = previous is not None and previous.named_causes == best.causes
-    are_rivals_compared = bool(search.extended) and not search.is_cut_short
     is_checked = (
-        is_named or are_rivals_compared or are_confirmed(best, earlier, observations)
+        is_named
+        or len(best.causes) == 1
+        or search.is_confirmed(best)
+        or search.are_rivals_compared(best, tolerance_m)
     )
     verdict, sentence = decide(
         compared,
@@ -148,7 +150,7 @@ def explain(
         tolerance_m,
         search.is_complete,
         noise_ratios,
-        is_checked or len(best.causes) == 1,
+        is_checked,
     )
     finding = {
         "verdict": verdict,
@@ -175,22 +177,6 @@ def reason_for_no_search(
     return ""
 
 
-def are_confirmed(
-    best: Comparison,
-    earlier: Sequence[tuple[str, ...]],
-    observations: Sequence[Observation],
-) -> bool:
-    """Return whether causes were likely before, and leave only noise in whole trials.
-
-    Frames that the mesh does not resolve count as well. On string A, a rotated grasp
-    was mistaken for wind: it left only noise until the string whipped, but 3 times the
-    noise in whole casts.
-    """
-    if best.causes not in earlier or best.estimate is None:
-        return False
-    return rms_m(best.estimate) <= MAX_NOISE_RATIO * noise_m(observations)
-
-
 def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
     """List the causes that were likely before; these are fitted first."""
     likely = []
@@ -200,26 +186,23 @@ def earlier_causes(previous: Explanation) -> list[tuple[str, ...]]:
     return likely
 
 
-def next_most_evident(
-    previous: Explanation, likely: Sequence[tuple[str, ...]], comparer: Comparer
+def rivals_of_earlier(
+    previous: Explanation,
+    likely: Sequence[tuple[str, ...]],
+    comparer: Comparer,
+    best: Comparison,
 ) -> list[Finalist]:
-    """Return the most evident causes of earlier trials after the likely ones.
+    """List the rivals of the most probable causes of earlier trials.
 
-    They are fitted if no effect helps in addition to the likely ones, so that effects
-    can be added to them. They are therefore fewer than MAX_CAUSES.
+    Until they are fitted again, they keep the probability ratios of earlier trials.
     """
-    if not likely:
-        return []
-    table = previous.explanations
-    is_fitted = table["fitted"].to_numpy(dtype=bool)
-    evidence = table["log_evidence"].to_numpy()
-    sets = zip(previous.cause_sets, is_fitted, evidence, strict=True)
-    for causes, was_fitted, log_evidence in sets:
-        is_extendable = 0 < len(causes) < MAX_CAUSES
-        if was_fitted and is_extendable and causes not in likely:
-            compared = Comparison(causes, float(log_evidence))
-            return [Finalist(find_effects(causes), comparer, compared)]
-    return []
+    rivals = []
+    for causes in likely[1:]:
+        ratio = previous.cause_sets[causes] / previous.cause_sets[likely[0]]
+        evidence = best.log_evidence + float(np.log(ratio))
+        compared = Comparison(causes, evidence, best.rms_m)
+        rivals.append(Finalist(find_effects(causes), comparer, compared))
+    return rivals
 
 
 def estimate_without_causes(estimate: Estimate, reason: str) -> Explanation:

@@ -21,10 +21,9 @@ from stringcast.stages.explain.cause_search import Budget, CauseSearch
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
 from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import (
-    are_confirmed,
     earlier_causes,
     explain,
-    next_most_evident,
+    rivals_of_earlier,
 )
 from stringcast.stages.explain.noise_ratios import (
     NoiseRatios,
@@ -32,6 +31,7 @@ from stringcast.stages.explain.noise_ratios import (
     corrected_residual,
 )
 from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.mesh import likelihood_on_mesh
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.solver import fit_least_squares
 from stringcast.stages.inference.trial_data import TrialData
@@ -50,7 +50,8 @@ EXPLAIN = "stringcast.stages.explain.explain"
 
 def fitted_comparison(names, log_evidence, rms_m):
     fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
-    return Comparison(tuple(names.split()), log_evidence, SimpleNamespace(fit=fit))
+    estimate = SimpleNamespace(fit=fit)
+    return Comparison(tuple(names.split()), log_evidence, rms_m, estimate)
 
 
 def verdict_on(
@@ -153,24 +154,25 @@ def explanation_with(probabilities, verdict):
     return replace(make_explanation(verdict), explanations=explanations)
 
 
-def test_next_most_evident_causes_follow_the_likely_ones():
+def test_rivals_of_earlier_causes_are_as_evident_as_before():
+    """They keep the ratios of their probabilities until they are fitted again."""
     probabilities = {
-        "gravity_direction tip_mass": 0.9,
-        "gravity_direction rest_curvature": 0.1,
-        "gravity_direction tip_mass wind": 1e-4,
-        "tip_mass wind": 1e-5,
+        "gravity_direction tip_mass": 0.8,
+        "tip_mass wind": 0.1,
+        "rest_curvature tip_mass": 0.1,
         "tip_mass": 1e-20,
-        "clamp": 1e-30,
     }
     previous = explanation_with(probabilities, "candidates")
-    *likely, _, following = [tuple(names.split()) for names in probabilities][:4]
+    *likely, _ = [tuple(names.split()) for names in probabilities]
     assert earlier_causes(previous) == likely
-    (finalist,) = next_most_evident(previous, likely, None)
-    assert finalist.comparison.causes == following
-    assert tuple(effect.name for effect in finalist.effects) == following
-    assert not next_most_evident(previous, [], None)
-    everything = explanation_with(dict.fromkeys(probabilities, 0.2), "candidates")
-    assert not next_most_evident(everything, earlier_causes(everything), None)
+    best = fitted_comparison("gravity_direction tip_mass", 200.0, 0.001)
+    for causes, rival in zip(
+        likely[1:], rivals_of_earlier(previous, likely, None, best), strict=True
+    ):
+        assert rival.comparison.causes == causes
+        assert tuple(effect.name for effect in rival.effects) == causes
+        assert rival.comparison.log_evidence == pytest.approx(200 - np.log(8))
+    assert not rivals_of_earlier(previous, likely[:1], None, best)
 
 
 def test_model_error_of_partial_causes_is_that_without_them():
@@ -201,22 +203,22 @@ def residual_mm(causes):
 def search(monkeypatch):
     """Return a function that starts a search with residuals of RMS_MM and 1 mm noise.
 
-    Returns also the causes that were screened and fitted.
+    It also returns what was fitted, and to which causes effects were added.
     """
-    ranked, fits = [], []
+    bases, fits = [], []
 
     def screen(comparer, effects):
         causes = [*comparer.base.causes, *(effect.name for effect in effects)]
-        ranked.append(tuple(sorted(causes)))
-        return residual_mm(causes) ** 2
+        bases.append(comparer.base.causes)
+        return comparer.comparison(effects, 1e-3 * residual_mm(causes))
 
     def fit(comparer, effects, start):
-        (effect,) = effects
-        causes = tuple(sorted([*comparer.base.causes, effect.name]))
-        fits.append(causes)
-        before, left = residual_mm(comparer.base.causes), residual_mm(causes)
-        estimate = fitted_comparison("", 0.0, 1e-3 * left).estimate
-        return comparer.comparison(effects, (left / before) ** 2, estimate)
+        causes = [*comparer.base.causes, *(effect.name for effect in effects)]
+        fits.append(tuple(sorted(causes)))
+        left_m = 1e-3 * residual_mm(causes)
+        return comparer.comparison(
+            effects, left_m, fitted_comparison("", 0.0, left_m).estimate
+        )
 
     def compare(search, comparison):
         return NoiseRatios(10.0, residual_mm(comparison.causes))
@@ -224,7 +226,7 @@ def search(monkeypatch):
     monkeypatch.setattr(
         Comparer, "with_base", lambda self, base: replace(self, base=base)
     )
-    monkeypatch.setattr(Comparer, "screened_square", screen)
+    monkeypatch.setattr(Comparer, "screen", screen)
     monkeypatch.setattr(
         Comparer,
         "linear_square",
@@ -236,12 +238,13 @@ def search(monkeypatch):
     def begin(names, seconds=1e6):
         points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
         base = fitted_comparison("", 0.0, 0.01)
-        comparer = Comparer(None, [SimpleNamespace(points=points)], base, 30, None, 0)
+        trials = [SimpleNamespace(points=points)]
+        comparer = Comparer(None, trials, base, base.rms_m, 30, None, 0)
         budget = Budget(seconds, lambda share: None)
         effects = find_effects(names.split())
         return CauseSearch(comparer, effects, {NO_CAUSE: base}, 4, budget)
 
-    return SimpleNamespace(begin=begin, ranked=ranked, fits=fits)
+    return SimpleNamespace(begin=begin, bases=bases, fits=fits)
 
 
 ALL_FOUR = "gravity_direction rest_curvature tip_mass wind"
@@ -270,27 +273,25 @@ def test_search_continues_from_earlier_causes_with_residual_above_noise(search):
     assert ("rest_curvature", "tip_mass", "wind") in searched.compared
 
 
-def finalists(searched):
-    """Return the causes of the finalists."""
-    return [each.comparison.causes for each in searched.waiting]
-
-
-def test_effects_are_added_before_rivals_are_fitted(search):
-    """Three causes are found in three fits."""
+def test_effects_are_added_before_anything_is_fitted(search):
+    """Three causes are found in one fit."""
     search.begin("rest_curvature tip_mass wind clamp").search(TOLERANCE_M)
-    assert search.fits[:3] == [
-        ("tip_mass",),
-        ("tip_mass", "wind"),
-        ("rest_curvature", "tip_mass", "wind"),
-    ]
+    assert search.fits == [("rest_curvature", "tip_mass", "wind")]
 
 
-def test_rival_that_might_leave_only_noise_is_fitted_first(search, monkeypatch):
-    """The coarse mesh may err by half of the best gain."""
-    monkeypatch.setitem(RMS_MM, "gravity_direction", 1.5)
-    monkeypatch.setitem(RMS_MM, "wind", 1.8)
-    search.begin(ALL_FOUR).search(TOLERANCE_M)
-    assert search.fits[:2] == [("gravity_direction",), ("wind",)]
+def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
+    """Gravity was found first, and wind explains as much in its place."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction", 3.0)
+    monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", 1.0)
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.0)
+    searched = search.begin(ALL_FOUR)
+    searched.search(TOLERANCE_M)
+    assert search.bases[0] == NO_CAUSE
+    assert ("gravity_direction",) in search.bases
+    assert ("tip_mass",) in search.bases
+    probabilities = posterior_probabilities(searched.explaining(), CANDIDATES)
+    assert probabilities["gravity_direction", "tip_mass"] < 0.9
+    assert searched.are_rivals_compared(searched.best, TOLERANCE_M)
 
 
 @pytest.mark.parametrize(("cause", "first"), [("clamp", NO_CAUSE), ("wind", ("wind",))])
@@ -300,30 +301,33 @@ def test_effects_are_added_to_earlier_causes_if_these_explain_half(
     """Of 10 mm, a clamp leaves 8 and wind 5."""
     searched = search.begin(ALL_FOUR)
     known = searched.comparer.fit(find_effects([cause]), None)
-    searched.compared[cause,] = searched.fitted[cause,] = known
+    searched.compared[cause,] = known
     searched.search(TOLERANCE_M)
-    assert search.ranked[0] == first
+    assert search.bases[0] == first
 
 
-def test_effect_with_large_deficit_is_not_fitted(search):
-    """On the coarse mesh, a clamp explains far less than a heavy tip."""
+def test_effect_with_large_deficit_is_not_fitted(search, monkeypatch):
+    """After the screening, a clamp explains far less than a heavy tip."""
+    monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin("tip_mass wind clamp")
-    searched.add_effect_to(searched.comparer.base)
-    assert finalists(searched) == [("tip_mass",), ("wind",)]
-    assert searched.compared["clamp",].estimate is None
+    searched.search(TOLERANCE_M)
+    assert search.fits == [("tip_mass",)]
+    assert searched.explaining()["clamp",].estimate is None
 
 
 def test_rival_with_small_deficit_is_fitted(search, monkeypatch):
     """In a slow look, wind resembles a tilt of gravity."""
     monkeypatch.setitem(RMS_MM, "gravity_direction", 1.0)
-    monkeypatch.setitem(RMS_MM, "wind", 1.8)
+    monkeypatch.setitem(RMS_MM, "wind", 1.01)
     search.begin("gravity_direction wind clamp").search(TOLERANCE_M)
     assert search.fits == [("gravity_direction",), ("wind",)]
 
 
-def test_deficit_is_measured_on_the_coarse_mesh(search, monkeypatch):
-    """The coarse mesh hardly shows two causes whose fits gain log evidence of 40."""
-    monkeypatch.setattr(Comparer, "screened_square", lambda *given: 1.0)
+def test_deficit_is_measured_before_fits(search, monkeypatch):
+    """The screening hardly shows two causes whose fits gain log evidence of 40."""
+    monkeypatch.setattr(
+        Comparer, "screen", lambda self, effects: self.comparison(effects, 0.01)
+    )
     searched = search.begin("tip_mass wind")
     searched.search(TOLERANCE_M)
     assert ("tip_mass",) in search.fits
@@ -355,43 +359,36 @@ def test_several_causes_are_not_named_before_rivals_are_compared():
     assert "time was used up" in sentence
 
 
-def test_causes_are_confirmed_by_whole_trials():
+def test_causes_are_confirmed_by_whole_trials(search):
     """A rotated grasp imitated wind in two casts where the mesh resolves the string.
 
     In whole casts it left 3 mm, and wind leaves the noise of 1 mm.
     """
-    points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
-    trials = [SimpleNamespace(points=points)]
-    causes = ("rest_curvature", "tip_mass", "wind")
-    right = fitted_comparison(" ".join(causes), 300.0, 1.05e-3)
-    assert are_confirmed(right, [causes], trials)
-    assert not are_confirmed(right, [("tip_mass", "wind")], trials)
-    assert not are_confirmed(
-        fitted_comparison(" ".join(causes), 200.0, 3e-3), [causes], trials
-    )
+    searched = search.begin(ALL_FOUR)
+    names = "rest_curvature tip_mass wind"
+    searched.earlier = {tuple(names.split())}
+    assert searched.is_confirmed(fitted_comparison(names, 300.0, 1.05e-3))
+    assert not searched.is_confirmed(fitted_comparison("tip_mass wind", 300.0, 1.05e-3))
+    assert not searched.is_confirmed(fitted_comparison(names, 200.0, 3e-3))
 
 
 @pytest.mark.parametrize(
-    ("before", "left_m", "expected"),
-    [
-        ("candidates", 0.003, "candidates"),
-        ("candidates", 0.001, "cause"),
-        ("cause", 0.003, "cause"),
-    ],
+    ("left_m", "expected"),
+    [(0.003, [("tip_mass",), ("gravity_direction",)]), (0.001, [])],
 )
-def test_several_causes_need_compared_rivals_or_confirmation(
-    explain_and_list, before, left_m, expected
+def test_several_causes_need_exchanges_or_confirmation(
+    explain_and_list, left_m, expected
 ):
     """A tilt of gravity imitated wind in the look, and left 1.4 mm in the cast.
 
-    Where the mesh resolves the string it left only noise, so there was no search.
+    Where the mesh resolves the string it left only noise.
     """
     causes = "gravity_direction tip_mass"
-    previous = explanation_with({causes: 1.0}, before)
+    previous = explanation_with({causes: 1.0}, "candidates")
     known = {"ratio": 1.0, "known_m": left_m, "causes": causes}
-    assert explain_and_list(0.04, previous, **known) == []
+    assert explain_and_list(0.04, previous, **known) == expected
     *_, finding, _ = explain_and_list.arguments
-    assert finding["verdict"] == expected
+    assert finding["verdict"] == "cause"
 
 
 def test_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
@@ -410,9 +407,8 @@ def test_slow_effect_is_deferred_unless_far_more_evident(
     monkeypatch.setitem(RMS_MM, "contact", contact_mm)
     searched = search.begin("tip_mass wind contact")
     searched.add_effect_to(searched.comparer.base)
-    is_deferred = {
-        each.comparison.causes: each.is_deferred for each in searched.waiting
-    }
+    waiting = searched.waiting(TOLERANCE_M)
+    is_deferred = {each.comparison.causes: each.is_deferred for each in waiting}
     assert is_deferred["contact",] == (contact_mm > 1)
     searched.search(TOLERANCE_M)
     assert (("contact",) in search.fits) == (contact_mm < 1)
@@ -421,15 +417,15 @@ def test_slow_effect_is_deferred_unless_far_more_evident(
 
 def test_no_effects_are_screened_without_time(search):
     """Only the first screening is always made."""
-    for is_known, count in ((False, 4), (True, 0)):
-        search.ranked.clear()
+    for is_known, count in ((False, 3), (True, 0)):
+        search.bases.clear()
         searched = search.begin("tip_mass clamp density_taper", seconds=0)
         if is_known:
             known = searched.comparer.fit(find_effects(["wind"]), None)
-            searched.compared["wind",] = searched.fitted["wind",] = known
+            searched.compared["wind",] = known
             search.fits.clear()
         searched.search(TOLERANCE_M)
-        assert len(search.ranked) == count
+        assert len(search.bases) == count
         assert not search.fits
         assert not searched.is_complete
 
@@ -668,6 +664,17 @@ def test_estimates_are_compared_where_the_mesh_resolves_both(
     assert (ratios.without_causes, ratios.with_causes) == expected
 
 
+def comparer_of(model, observation):
+    """Return a comparer that begins at the true parameters of string A."""
+    estimate = true_estimate(model)
+    likelihood = Likelihood(TrialData((prepare_trial(model, observation),)), model)
+    chi = estimate.parameters["chi"].to_numpy()
+    fine = likelihood_on_mesh(likelihood, 4)
+    left_m = rms(fine.residuals(chi[None])) * np.sqrt(2) * NOISE_M
+    base = Comparison(NO_CAUSE, 0.0, left_m, estimate)
+    return Comparer(model, [observation], base, left_m, BLOCKS, None, seed=0)
+
+
 @pytest.fixture(scope="module")
 def screened(arm, camera, observe):
     """Return a function that screens effects on a swing with a hidden cause."""
@@ -676,14 +683,10 @@ def screened(arm, camera, observe):
         observation = observe(hidden)
 
         model = Model(implicit_string(20, 1e-3), arm, camera)
-        estimate = true_estimate(model)
-        base = Comparison(NO_CAUSE, 0.0, estimate)
-        compare = Comparer(model, [observation], base, BLOCKS, fit_model=None, seed=0)
-        plain = compare.screened_square(())
+        compare = comparer_of(model, observation)
         evidence = {}
         for effect in find_effects(effects):
-            ratio = compare.screened_square((effect,)) / plain
-            evidence[effect.name] = compare.comparison((effect,), ratio).log_evidence
+            evidence[effect.name] = compare.screen((effect,)).log_evidence
         return evidence
 
     return screen
@@ -711,12 +714,12 @@ def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
     arm, camera, observe, cause, values
 ):
     model = Model(implicit_string(20, 1e-3), arm, camera)
-    base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
-    compare = Comparer(model, [observe({cause: values})], base, BLOCKS, None, seed=0)
-    (effect,) = find_effects([cause])
-    linear = compare.linear_square(effect)
-    assert linear < 0.7 * compare.screened_square(())
-    assert linear == pytest.approx(compare.screened_square((effect,)), rel=0.1)
+    compare = comparer_of(model, observe({cause: values}))
+    (effect, absent) = find_effects([cause, "pixel_scale"])
+    explained = compare.linear_square(effect) / compare.linear_square(absent)
+    assert explained < 0.7
+    refined = compare.screen((effect,)).rms_m / compare.screen((absent,)).rms_m
+    assert np.sqrt(explained) == pytest.approx(refined, rel=0.1)
 
 
 def test_no_effect_is_evident_if_none_is_hidden(screened):
@@ -734,13 +737,12 @@ def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
 
     module = "stringcast.stages.explain.comparison"
     monkeypatch.setattr(f"{module}.fit_least_squares", keep_noise)
-    model = Model(implicit_string(20, 1e-3), arm, camera)
-    base = Comparison(NO_CAUSE, 0.0, true_estimate(model))
-    compare = Comparer(model, [observe({})], base, BLOCKS, fit_model=None, seed=0)
-    compare.screened_square(())
+    compare = comparer_of(Model(implicit_string(20, 1e-3), arm, camera), observe({}))
+    effects = find_effects(["pixel_scale"])
+    compare.screen(effects)
     monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
-    replace(compare).screened_square(())
-    corrected, plain = noise_scales
+    replace(compare).screen(effects)
+    corrected, _, plain, _ = noise_scales
     assert corrected < 0.5 * plain
 
 
