@@ -59,7 +59,7 @@ EXPLANATIONS = Table(
     probability [1]: that these alone are active, among those compared
     log_evidence [1]: gain over the model as it was
     tip_rms [m]: distance of the simulated from the measured tip, root mean square
-    fitted (bool): fitted from many starts; else compared on a coarse mesh
+    fitted (bool): fitted from many starts; else compared by a few iterations
     """),
 )
 EXPLANATION_SUMMARY = Table(

@@ -131,6 +131,8 @@ class CauseSearch:
         Whether other causes are sought where those of earlier trials explain all.
     earlier : collection
         Probable causes of earlier trials.
+    rivals : sequence of Finalist
+        Those that were not fitted to these trials yet; their residual is NaN.
     """
 
     comparer: Comparer
@@ -140,6 +142,7 @@ class CauseSearch:
     budget: Budget
     is_surprising: bool = False
     earlier: Collection[tuple[str, ...]] = ()
+    rivals: Sequence[Finalist] = ()
 
     def __post_init__(self) -> None:
         """Initialise the search."""
@@ -177,7 +180,8 @@ class CauseSearch:
 
         A fit of other finalists might gain as much as that of their rivals.
         """
-        found = dict(self.compared)
+        found = {each.comparison.causes: each.comparison for each in self.rivals}
+        found.update(self.compared)
         for base, finalists in self.screened.items():
             gain = self.fit_gains.get(base, 0.0)
             for each in finalists:
@@ -191,17 +195,19 @@ class CauseSearch:
     def explaining(self) -> dict[tuple[str, ...], Comparison]:
         """Return the comparisons of causes that explain more than any part of them.
 
-        They explain half of the residual beyond noise that a part of them leaves.
+        They explain half of the residual beyond noise that a part of them leaves, where
+        both residuals are known.
         """
         compared = self.all_compared()
         noise = noise_m(self.comparer.observations)
         found = {}
         for causes, each in compared.items():
             parts = []
-            for part in compared:
-                if part and set(part) < set(causes):
-                    parts.append(compared[part])
-            if all(explains_half(each, part, noise) for part in parts):
+            for part, other in compared.items():
+                if part and set(part) < set(causes) and not np.isnan(other.rms_m):
+                    parts.append(other)
+            is_known = not np.isnan(each.rms_m)
+            if not is_known or all(explains_half(each, p, noise) for p in parts):
                 found[causes] = each
         return found
 
@@ -260,19 +266,23 @@ class CauseSearch:
         """
         best = self.best
         is_explained = self.is_explained(best, tolerance_m)
+        # with the log evidence that a fit may gain
+        finalists = [(each, 0.0) for each in self.rivals]
+        for base, screened in self.screened.items():
+            gain = self.fit_gains.get(base, 0.0)
+            finalists += [(each, gain) for each in screened[: self.finalists]]
+
         waiting = []
-        for finalists in self.screened.values():
-            for each in finalists[: self.finalists]:
-                causes = each.comparison.causes
-                has_more_causes = len(causes) > len(best.causes)
-                if causes in self.compared or causes in self.unfitted:
-                    continue
-                if is_explained and has_more_causes:
-                    continue
-                gain = self.fit_gains.get(each.comparer.base.causes, 0.0)
-                deficit = self.log_posterior(best) - self.log_posterior(each.comparison)
-                if not best.causes or deficit < gain + MAX_DEFICIT:
-                    waiting.append(each)
+        for each, gain in finalists:
+            causes = each.comparison.causes
+            has_more_causes = len(causes) > len(best.causes)
+            if causes in self.compared or causes in self.unfitted:
+                continue
+            if is_explained and has_more_causes:
+                continue
+            deficit = self.log_posterior(best) - self.log_posterior(each.comparison)
+            if not best.causes or deficit < gain + MAX_DEFICIT:
+                waiting.append(each)
         waiting.sort(
             key=lambda each: (each.is_deferred, -self.log_posterior(each.comparison))
         )
@@ -309,6 +319,8 @@ class CauseSearch:
             start = max(parts, key=self.log_posterior).estimate
             fitted = finalist.comparer.fit(finalist.effects, start)
         self.compared[causes] = fitted
+        if np.isnan(finalist.comparison.rms_m):
+            return  # other trials say nothing of what a fit gains over a screening
         gain = fitted.log_evidence - finalist.comparison.log_evidence
         base = finalist.comparer.base.causes
         self.fit_gains[base] = max(gain, self.fit_gains.get(base, 0.0))
@@ -353,9 +365,13 @@ class CauseSearch:
         return None if is_settled else self.unexchanged_part(best)
 
     def is_extendable(self, comparison: Comparison) -> bool:
-        """Return whether effects may be added to causes and were not yet."""
+        """Return whether effects may be added to causes and were not yet.
+
+        Rivals of earlier trials are fitted first.
+        """
         causes = comparison.causes
-        return causes not in self.extended and len(causes) < MAX_CAUSES
+        is_short = len(causes) < MAX_CAUSES and not np.isnan(comparison.rms_m)
+        return is_short and causes not in self.extended
 
     def extendable_rival(self, best: Comparison) -> Comparison | None:
         """Return the most probable extendable causes with a small deficit, if any."""

@@ -62,7 +62,8 @@ class Comparison:
     ----------
     causes : names of the effects; empty for the original model
     log_evidence : gain over the original model
-    rms_m : root mean square residual of the centre-line [m]
+    rms_m : root mean square residual of the centre-line [m]; NaN for causes of earlier
+        trials that were not fitted to these
     estimate : estimate with the causes, if they were fitted
     screened : exponents by name after the screening, if they were not fitted
     """

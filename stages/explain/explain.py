@@ -128,8 +128,7 @@ def explain(
         comparer, effects, fitted, finalists, budget, is_surprising, earlier
     )
     if previous is not None and earlier:
-        rivals = rivals_of_earlier(previous, earlier, comparer, known)
-        search.screened[NO_CAUSE] = rivals
+        search.rivals = rivals_of_earlier(previous, earlier, comparer, known)
     search.search(tolerance_m)
     compared = search.explaining()
     probabilities = posterior_probabilities(compared, len(effects))
@@ -194,13 +193,15 @@ def rivals_of_earlier(
 ) -> list[Finalist]:
     """List the rivals of the most probable causes of earlier trials.
 
-    Until they are fitted again, they keep the probability ratios of earlier trials.
+    Until they are fitted again, they keep the ratios of their evidence, and so of their
+    probabilities, in earlier trials. Their residual in these trials is not known.
     """
+    evidences = previous.explanations["log_evidence"]
+    before = dict(zip(previous.cause_sets, evidences, strict=True))
     rivals = []
     for causes in likely[1:]:
-        ratio = previous.cause_sets[causes] / previous.cause_sets[likely[0]]
-        evidence = best.log_evidence + float(np.log(ratio))
-        compared = Comparison(causes, evidence, best.rms_m)
+        deficit = float(before[likely[0]] - before[causes])
+        compared = Comparison(causes, best.log_evidence - deficit, np.nan)
         rivals.append(Finalist(find_effects(causes), comparer, compared))
     return rivals
 

@@ -17,7 +17,7 @@ from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain import noise_ratios
-from stringcast.stages.explain.cause_search import Budget, CauseSearch
+from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
 from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import (
@@ -173,6 +173,30 @@ def test_rivals_of_earlier_causes_are_as_evident_as_before():
         assert tuple(effect.name for effect in rival.effects) == causes
         assert rival.comparison.log_evidence == pytest.approx(200 - np.log(8))
     assert not rivals_of_earlier(previous, likely[:1], None, best)
+
+
+def test_rivals_of_earlier_causes_with_other_numbers_of_causes_stay_as_probable():
+    """A single cause needs less evidence than three for the same probability."""
+    before = {
+        each.causes: each
+        for each in (
+            fitted_comparison("rest_curvature tip_mass wind", 60.0, 0.001),
+            fitted_comparison("clamp", 53.0, 0.001),
+        )
+    }
+    probabilities = posterior_probabilities(before, CANDIDATES)
+    likely = list(probabilities)
+    names = {" ".join(causes): p for causes, p in probabilities.items()}
+    table = explanation_with(names, "candidates").explanations
+    evidences = [before[causes].log_evidence for causes in likely]
+    previous = replace(
+        make_explanation("candidates"),
+        explanations=table.assign(log_evidence=evidences),
+    )
+    best = replace(before[likely[0]], log_evidence=200.0)
+    (rival,) = rivals_of_earlier(previous, likely, None, best)
+    again = {best.causes: best, rival.comparison.causes: rival.comparison}
+    assert posterior_probabilities(again, CANDIDATES) == pytest.approx(probabilities)
 
 
 def test_model_error_of_partial_causes_is_that_without_them():
@@ -332,6 +356,53 @@ def test_deficit_is_measured_before_fits(search, monkeypatch):
     searched.search(TOLERANCE_M)
     assert ("tip_mass",) in search.fits
     assert searched.compared["wind",].log_evidence > 30
+
+
+def with_rivals_of_earlier(searched, known, *rivals):
+    """Fit the most probable causes of earlier trials, and let rivals follow."""
+    fitted = searched.comparer.fit(find_effects([known]), None)
+    searched.compared[fitted.causes] = fitted
+    for names in rivals:
+        causes = tuple(names.split())
+        compared = Comparison(causes, fitted.log_evidence - 1.0, np.nan)
+        finalist = Finalist(find_effects(causes), searched.comparer, compared)
+        searched.rivals = [*searched.rivals, finalist]
+
+
+def test_new_effects_are_fitted_after_rivals_of_earlier_trials(search, monkeypatch):
+    """Four poor rivals take no place of the finalists of a screening."""
+    monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
+    poor = "clamp", "density_taper", "pixel_scale", "rest_curvature"
+    searched = search.begin(" ".join(["tip_mass", "wind", "contact", *poor]))
+    with_rivals_of_earlier(searched, "contact", *poor)
+    searched.search(TOLERANCE_M)
+    assert searched.best.causes == ("tip_mass",)
+
+
+def test_a_rival_of_earlier_trials_that_is_right_helps_no_other(search):
+    """What was likely before says nothing of what a fit gains over a screening."""
+    searched = search.begin("tip_mass wind clamp density_taper")
+    with_rivals_of_earlier(searched, "clamp", "tip_mass")
+    searched.add_effect_to(searched.comparer.base)
+    searched.fit(searched.rivals[0])
+    assert searched.best.causes == ("tip_mass",)
+    expected = searched.comparer.comparison(find_effects(["wind"]), 5.3e-3)
+    found = searched.all_compared()["wind",]
+    assert found.log_evidence == pytest.approx(expected.log_evidence)
+
+
+def test_a_rival_that_there_was_no_time_to_fit_refutes_no_causes(search, monkeypatch):
+    """Its residual is not known, so that it need not be half explained."""
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.05)
+    searched = search.begin(ALL_FOUR, seconds=0)
+    best = searched.comparer.fit(find_effects(["tip_mass", "wind"]), None)
+    searched.compared[best.causes] = best
+    compared = Comparison(("wind",), best.log_evidence - 1.0, np.nan)
+    searched.rivals = [Finalist(find_effects(["wind"]), searched.comparer, compared)]
+    searched.search(TOLERANCE_M)
+    assert best.causes in searched.explaining()
+    assert ("wind",) in searched.explaining()
+    assert not searched.is_complete
 
 
 def test_search_reports_that_time_ended_it(search):
