@@ -52,8 +52,9 @@ class Diagnose(Batch):
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
         source = experiment.config["trials"]
+        stored_observations = trials.observations
         if source is not None:
-            refuse_unlike_clocks(experiment, Path(source), trials.observations)
+            refuse_unlike_clocks(experiment, Path(source), stored_observations)
         stored = len(history.iterations)
         collected = stages()[self.stage].collected_input
         diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})
@@ -71,8 +72,8 @@ class Diagnose(Batch):
         summary = stage.summary(diagnosis)
         sentence = diagnosis_outcome(diagnosis, summary)
         if source is not None and leaves_misfit(diagnosis):
-            observations = trials.observations
-            clocks = describe_own_clocks(experiment, Path(source), observations)
+            # performed motions have the clocks of this arm and camera
+            clocks = describe_own_clocks(experiment, Path(source), stored_observations)
             sentence = " ".join(filter(None, [sentence, clocks]))
         return RunResult(folder, tuple(history.iterations), sentence, stage)
 

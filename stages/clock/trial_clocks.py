@@ -13,7 +13,7 @@ from stringcast.stages.clock.windows import onset_window
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.model.model import Model
 
-MIN_TRIALS = 2  # a single clock differs from none
+MIN_TRIALS = 2  # the clocks of one trial differ from no others
 MS_PER_S = 1e3
 
 

@@ -169,7 +169,7 @@ def test_a_cause_that_one_trial_supports_needs_the_others(arm, has_mass, is_acce
 
 
 def test_a_trial_that_diverges_has_a_finite_likelihood(trial):
-    """No parameter changes it, so that its discrepancy has no size."""
+    """No parameter changes it, so that a growing discrepancy has no size."""
     no_shapes = np.zeros((2 * len(trial.s), 0))
     discrepancy = Discrepancy.for_trial(trial, np.zeros(FRAMES), no_shapes)
     assert not discrepancy.basis.by_course[0].variance.any()
