@@ -46,7 +46,7 @@ NO_CAUSE: tuple[str, ...] = ()
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, for a cause to be named
 PROBE_FRACTIONS = (0.01, 0.03, 0.1, 0.3)  # of the distance from absent to an amplitude
 PROBES = 16
-SCREENED_PROBES = 3  # best probes, which are refined
+SIDE_FRACTION = 0.1  # one of these, at which iterations start on either side
 SCREENING_ITERATIONS = 8  # at most
 # Predicted gain of log evidence below which a run stops; with 0.05 some runs stopped on
 # a plateau
@@ -121,28 +121,50 @@ class Comparer:
     def screen(self, effects: Sequence[type[Effect]]) -> Comparison:
         """Compare effects by a few iterations that start at the base.
 
-        They start on a coarse mesh at the best probes of the last effect. The mesh
-        error at the base is subtracted. The error at the new optimum differs: with two
-        trials, the log evidence of the right cause was too low by 150. The iterations
-        are therefore continued on the given mesh, corrected at the new optimum.
+        They start on a coarse mesh at the best probe of the last effect, and at the
+        best ones on either side of its absence: wind to the left and to the right may
+        each have a minimum, with other drags. The mesh error at the base is subtracted.
+
+        The error at the new optimum differs: with two trials, the log evidence of the
+        right cause was too low by 150. The iterations are therefore continued on the
+        given mesh, corrected at the new optimum. If that ends behind the base, which is
+        a special case, they begin again at the base.
         """
         hypothesis, coarse, start = self._with_effects_on_coarse_mesh(effects)
         probes = self._probes(hypothesis, effects[-1], start)
         squares = np.mean(coarse.residuals(probes) ** 2, axis=1)
-        starts = probes[np.argsort(squares, kind="stable")[:SCREENED_PROBES]]
+        starts = probes[self._screened_probes(squares)]
         # the solver assumes independent coordinates, the evidence independent blocks
         coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
         min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
         runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
         chi = runs.chi[np.argmin(runs.loss)]
+        compared = self._compare_near(hypothesis, effects, chi, min_gain)
+        added = sum(len(effect.parameters) for effect in effects)
+        if compared.log_evidence < self.base.log_evidence - self._penalty(added):
+            from_base = self._compare_near(hypothesis, effects, start, min_gain)
+            compared = max(compared, from_base, key=lambda each: each.log_evidence)
+        return compared
+
+    def _compare_near(
+        self,
+        hypothesis: Hypothesis,
+        effects: Sequence[type[Effect]],
+        chi: np.ndarray,
+        min_gain: float,
+    ) -> Comparison:
+        """Compare effects by a few iterations from exponents (P,) on the given mesh."""
         given = self._likelihood_on_mesh(hypothesis, 1)
         corrected = with_estimated_noise(with_corrected_points(given, chi), chi)
-        (chi,) = fit_least_squares(
-            corrected, chi[None], SCREENING_ITERATIONS, min_gain
-        ).chi
-        compared = self.comparison(effects, self._limit_rms_m(hypothesis, chi))
-        exponents = dict(zip(hypothesis.model.names, chi.tolist(), strict=True))
+        runs = fit_least_squares(corrected, chi[None], SCREENING_ITERATIONS, min_gain)
+        refined = runs.chi[0]
+        compared = self.comparison(effects, self._limit_rms_m(hypothesis, refined))
+        exponents = dict(zip(hypothesis.model.names, refined.tolist(), strict=True))
         return replace(compared, screened=exponents)
+
+    def _penalty(self, parameters: int) -> float:
+        """Compute what a number of parameters costs in log evidence (BIC)."""
+        return float(0.5 * parameters * np.log(self.blocks))
 
     def comparison(
         self,
@@ -154,7 +176,7 @@ class Comparer:
         causes = [*self.base.causes, *(effect.name for effect in effects)]
         known = sum(len(effect.parameters) for effect in find_effects(causes))
         gain = 2 * self.blocks * np.log(self.original_rms_m / residual_m)
-        evidence = float(gain - 0.5 * known * np.log(self.blocks))
+        evidence = float(gain - self._penalty(known))
         return Comparison(tuple(sorted(causes)), evidence, residual_m, estimate)
 
     def with_gain(self, compared: Comparison, gain: float) -> Comparison:
@@ -174,9 +196,8 @@ class Comparer:
         probes = self._probes(hypothesis, effect, start)
         unexplained, *probed = coarse.residuals(np.vstack([start, probes]))
         base_start = start[hypothesis.base_indices]
-        fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))
         least = float(np.mean(unexplained**2))
-        for with_effect, fraction in zip(probed, fractions, strict=True):
+        for with_effect, fraction in zip(probed, _probe_fractions(), strict=True):
             slopes = np.vstack([self._coarse_slopes, with_effect - unexplained])
             # the factor takes the effect from absent to the end of its range
             low = np.append(-base_start, 0.0)
@@ -261,6 +282,19 @@ class Comparer:
         """Return the exponents (P,) of the base, with the effects absent."""
         return hypothesis.exponents_from(self.base.exponents)
 
+    def _screened_probes(self, squares: np.ndarray) -> list[int]:
+        """Choose the best probe and the best on either side, by mean square (PROBES,).
+
+        Those on either side are away from the base, where all probes end alike.
+        """
+        numbers = np.arange(PROBES)
+        is_away = _probe_fractions() == SIDE_FRACTION
+        chosen = [int(np.argmin(squares))]
+        for side in (0, 1):
+            candidates = numbers[is_away & (numbers % 2 == side)]
+            chosen.append(int(candidates[np.argmin(squares[candidates])]))
+        return chosen
+
     def _probes(
         self, hypothesis: Hypothesis, effect: type[Effect], start: np.ndarray
     ) -> np.ndarray:
@@ -273,7 +307,7 @@ class Comparer:
         # half of the probes towards either end of the first amplitude's range
         probes[::2, amplitudes[0]] = 0.0
         probes[1::2, amplitudes[0]] = 1.0
-        fractions = np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))[:, None]
+        fractions = _probe_fractions()[:, None]
         distance = probes[:, amplitudes] - start[amplitudes]
         probes[:, amplitudes] = start[amplitudes] + fractions * distance
         return probes
@@ -285,6 +319,11 @@ class Comparer:
         extended = self.model.with_effects(*effects)
         fitted = self.fit_model(extended, self.observations, start)
         return self.comparison(effects, rms_m(fitted), fitted)
+
+
+def _probe_fractions() -> np.ndarray:
+    """Return the fraction of each probe, (PROBES,)."""
+    return np.repeat(PROBE_FRACTIONS, PROBES // len(PROBE_FRACTIONS))
 
 
 def without_causes(estimate: Estimate) -> Comparison:

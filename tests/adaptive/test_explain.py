@@ -30,6 +30,7 @@ from stringcast.stages.explain.noise_ratios import (
     compare_with_noise,
     corrected_residual,
 )
+from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import likelihood_on_mesh
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -811,10 +812,56 @@ def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
     compare = comparer_of(Model(implicit_string(20, 1e-3), arm, camera), observe({}))
     effects = find_effects(["pixel_scale"])
     compare.screen(effects)
+    corrected = noise_scales[0]
+    noise_scales.clear()
     monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
     replace(compare).screen(effects)
-    corrected, _, plain, _ = noise_scales
-    assert corrected < 0.5 * plain
+    assert corrected < 0.5 * noise_scales[0]
+
+
+def test_screening_starts_on_either_side_of_absence(arm, camera, observe, monkeypatch):
+    """Wind to the left and to the right may each have a minimum."""
+    compare = comparer_of(
+        Model(implicit_string(20, 1e-3), arm, camera),
+        observe({"wind": {"along_x": 0.8, "along_y": 0.0}}),
+    )
+    starts = []
+
+    def keep_starts(likelihood, given, *options):
+        starts.append(given)
+        return fit_least_squares(likelihood, given, *options)
+
+    module = "stringcast.stages.explain.comparison"
+    monkeypatch.setattr(f"{module}.fit_least_squares", keep_starts)
+    (wind,) = find_effects(["wind"])
+    hypothesis = Hypothesis(compare.model, (wind,))
+    (along_x, _) = hypothesis.parameter_indices(wind, wind.parameters)
+    assert compare.screen((wind,)).log_evidence > 0
+    sides = starts[0][:, along_x]
+    assert sides.min() < 0.5 < sides.max()
+
+
+def test_screening_that_ends_behind_the_base_begins_again_at_it(
+    arm, camera, observe, monkeypatch
+):
+    """From a wrong optimum of the coarse mesh, all iterations would end far behind."""
+    compare = comparer_of(Model(implicit_string(20, 1e-3), arm, camera), observe({}))
+    effects = find_effects(["pixel_scale"])
+    astray = []
+
+    def end_astray(likelihood, given, *options):
+        runs = fit_least_squares(likelihood, given, *options)
+        if not astray:  # the iterations on the coarse mesh
+            astray.append(runs.chi[0])
+            runs.chi[:] = 0.9
+        return runs
+
+    monkeypatch.setattr(
+        "stringcast.stages.explain.comparison.fit_least_squares", end_astray
+    )
+    compared = compare.screen(effects)
+    penalty = 0.5 * np.log(compare.blocks)
+    assert compared.log_evidence >= compare.base.log_evidence - penalty - 1e-6
 
 
 def perform_casts(method, *overrides):
