@@ -29,6 +29,7 @@ from stringcast.stages.explain.noise_ratios import (
     compare_with_noise,
 )
 from stringcast.stages.model.effect import Effect
+from stringcast.stages.model.library import find_effects
 
 MAX_CAUSES = 3  # that act together
 SLOW_FITS = 5.0  # duration of a fit with stiff loads, in other fits
@@ -108,7 +109,8 @@ class Finalist:
     @property
     def is_slow(self) -> bool:
         """Whether stiff loads make a fit take SLOW_FITS times as long."""
-        return any(hasattr(effect, "bound") for effect in self.effects)
+        effects = find_effects(self.comparison.causes)
+        return any(hasattr(effect, "bound") for effect in effects)
 
 
 @dataclass
@@ -146,7 +148,7 @@ class CauseSearch:
 
     def __post_init__(self) -> None:
         """Initialise the search."""
-        self.is_cut_short = False  # whether the time ended the search
+        self.is_cut_short = False  # whether there was no time for a screening or a fit
         self.extended: set[tuple[str, ...]] = set()  # causes with all others tried
         # finalists by the causes to which they were added, the most evident first
         self.screened: dict[tuple[str, ...], list[Finalist]] = {}
@@ -162,13 +164,20 @@ class CauseSearch:
 
     @property
     def most_probable(self) -> Comparison:
-        """The most probable causes, fitted or not."""
-        return max(self.all_compared().values(), key=self.log_posterior)
+        """The most probable causes, fitted or not.
+
+        Those for which there was no time are left out, so that others are still sought.
+        """
+        found = []
+        for causes, each in self.all_compared().items():
+            if causes not in self.unfitted:
+                found.append(each)
+        return max(found, key=self.log_posterior)
 
     @property
     def is_complete(self) -> bool:
         """Whether all likely causes were fitted."""
-        return not self.is_cut_short and not self.unfitted
+        return not self.is_cut_short
 
     def log_posterior(self, comparison: Comparison) -> float:
         """Return the log evidence with the prior odds of further causes."""
@@ -310,6 +319,7 @@ class CauseSearch:
         causes = finalist.comparison.causes
         if self.budget.is_used_up(SLOW_FITS if finalist.is_slow else 1.0):
             self.unfitted.add(causes)
+            self.is_cut_short = True
             return
         parts = []
         for part, each in self.compared.items():

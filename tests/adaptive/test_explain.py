@@ -487,6 +487,17 @@ def test_slow_effect_is_deferred_unless_far_more_evident(
     assert searched.is_complete
 
 
+def test_others_are_sought_where_a_slow_effect_leads(search, monkeypatch):
+    """There is no time to fit contact, which seems to explain everything."""
+    monkeypatch.setitem(RMS_MM, "contact", 1.0)
+    monkeypatch.setattr(Budget, "is_used_up", lambda budget, fits, **more: fits > 1)
+    searched = search.begin(f"{ALL_FOUR} contact")
+    searched.search(TOLERANCE_M)
+    assert ("contact",) not in search.fits
+    assert ("rest_curvature", "tip_mass", "wind") in search.fits
+    assert not searched.is_complete
+
+
 def test_no_effects_are_screened_without_time(search):
     """Only the first screening is always made."""
     for is_known, count in ((False, 3), (True, 0)):
