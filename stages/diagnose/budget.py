@@ -118,5 +118,7 @@ def _noise_and_numerical_mean_squares(prepared: PreparedData) -> tuple[float, fl
     noise = []
     for trial in prepared.data.trials:
         noise.append(2 * np.mean(trial.sigma[trial.is_tip] ** 2))
-    numerical = np.mean(prepared.discretisation_uncertainty_m**2)
+    uncertainty_m = prepared.discretisation_uncertainty_m
+    known_m = uncertainty_m[np.isfinite(uncertainty_m)]
+    numerical = np.mean(known_m**2) if known_m.size else 0.0
     return float(np.mean(noise)), float(numerical)

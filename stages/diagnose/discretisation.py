@@ -45,7 +45,7 @@ from stringcast.stages.inference.mesh import (
 from stringcast.stages.inference.mesh_correction import MeshCorrection
 from stringcast.stages.inference.prepared_trial import PreparedTrial, with_model
 from stringcast.stages.inference.solver import difference_exponents
-from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.engine.accuracy import richardson_limit
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.model import Model
@@ -133,17 +133,17 @@ def subtract_discretisation_error(
     -------
     data : TrialData
     uncertainty_m : numpy.ndarray, shape (K,)
-        Uncertainty of the discretisation error at each tip [m].
+        Uncertainty of the discretisation error at each tip [m]. It is infinite if a
+        simulation diverges.
     """
     corrected = []
     errors, uncertainties = extrapolate_errors(hypothesis.model, trials, chi)
-    uncertainties = [np.nan_to_num(shape) for shape in uncertainties]
     for trial, error in zip(trials, errors, strict=True):
         points = trial.points - np.nan_to_num(error)
         corrected.append(replace(trial, model=hypothesis.model, points=points))
-    columns = [shape[:, None] for shape in uncertainties]
+    columns = [np.nan_to_num(shape)[:, None] for shape in uncertainties]
     data = attach_discrepancy_model(corrected, hypothesis, chi, columns)
-    return data, data.tip_rms_by_trial(uncertainties)
+    return data, _tip_uncertainty_m(data, uncertainties)
 
 
 def discretisation_uncertainty_of(prepared: PreparedData, fit: Fit) -> np.ndarray:
@@ -166,7 +166,15 @@ def discretisation_uncertainty(
     chi: exponents of the hypothesis, (P,).
     """
     _, uncertainties = extrapolate_errors(hypothesis.model, trials, chi)
-    uncertainty_m = TrialData(tuple(trials)).tip_rms_by_trial(uncertainties)
+    return _tip_uncertainty_m(TrialData(tuple(trials)), uncertainties)
+
+
+def _tip_uncertainty_m(data: TrialData, uncertainties: ByTrial) -> np.ndarray:
+    """Compute uncertainties (2 n,) over sigma at each tip [m], (K,).
+
+    They are infinite for NaN.
+    """
+    uncertainty_m = data.tip_rms_by_trial(uncertainties)
     return np.where(np.isnan(uncertainty_m), np.inf, uncertainty_m)
 
 

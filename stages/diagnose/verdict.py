@@ -141,10 +141,14 @@ def _single_trial_remark(numbers: VerdictNumbers) -> str:
 
 
 def _uncertain_simulation_remark(numbers: VerdictNumbers) -> str:
-    uncertain_mm = MM_PER_M * numbers.unresolved_m
+    uncertain = (
+        f"uncertain by up to {MM_PER_M * numbers.unresolved_m:.1f} mm at the tip"
+    )
+    if np.isinf(numbers.unresolved_m):
+        uncertain = "uncertain, because it diverges on a finer mesh"
     return (
-        f"Simulation is itself uncertain by up to {uncertain_mm:.1f} mm at the tip: "
-        "gentler motion, or a string with more damping, would show more."
+        f"Simulation is itself {uncertain}: gentler motion, or a string with more "
+        "damping, would show more."
     )
 
 

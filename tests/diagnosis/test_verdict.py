@@ -150,6 +150,8 @@ def test_no_cause_is_suggested_if_simulation_is_uncertain():
     remark = decide_verdict(uncertain, CRITERIA).remark
     assert "wind" not in remark
     assert "uncertain by up to 9.2 mm" in remark
+    diverging = replace(single, unresolved_m=np.inf)
+    assert "diverges on a finer mesh" in decide_verdict(diverging, CRITERIA).remark
 
 
 def test_verdict_has_the_misfit_probability_of_its_model():

@@ -8,7 +8,11 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import cause_search, selection_state
+from stringcast.stages.diagnose import (
+    cause_search,
+    discretisation,
+    selection_state,
+)
 from stringcast.stages.diagnose.discretisation import (
     LONGEST_STEP_S,
     STEP_S,
@@ -60,8 +64,8 @@ def test_a_trial_that_is_resolved_only_with_causes_is_used(
     assert [*used.left_out] == rejected == [*prepared.chaotic_trials]
 
 
-def test_proposals_are_kept_without_a_chaotic_trial(arm):
-    """The page lists proposals. Fits of these steps included a trial left out now."""
+def swung_trials(arm):
+    """Simulate three trials of the base model; return them with its hypothesis."""
     hypothesis = Hypothesis(with_second_order_mesh(ordinary(arm)))
     model = hypothesis.model
     rng = np.random.default_rng(0)
@@ -72,6 +76,32 @@ def test_proposals_are_kept_without_a_chaotic_trial(arm):
         )
         trial = prepare_trial(model, measured)
         trials.append(replace(trial, sigma=np.full(len(trial.s), 1e-3)))
+    return trials, hypothesis
+
+
+def test_a_trial_that_diverges_on_a_finer_mesh_is_unresolved(arm, monkeypatch):
+    trials, hypothesis = swung_trials(arm)
+    extrapolate = discretisation.extrapolate_errors
+
+    def diverge_in_t1(*given):
+        errors, uncertainties = extrapolate(*given)
+        diverged = np.full_like(errors[1], np.nan)
+        nothing = np.full_like(uncertainties[1], np.nan)
+        return (
+            [errors[0], diverged, errors[2]],
+            [uncertainties[0], nothing, uncertainties[2]],
+        )
+
+    monkeypatch.setattr(discretisation, "extrapolate_errors", diverge_in_t1)
+    chi = hypothesis.model.exponents_of_values(TRUTH)
+    data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
+    assert np.isinf(uncertainty_m).tolist() == [False, True, False]
+    assert np.isfinite(evaluate_fit(data, hypothesis, chi).log_evidence)
+
+
+def test_proposals_are_kept_without_a_chaotic_trial(arm):
+    """The page lists proposals. Fits of these steps included a trial left out now."""
+    trials, hypothesis = swung_trials(arm)
     chi = hypothesis.model.exponents_of_values(TRUTH)
     data, uncertainty_m = subtract_discretisation_error(trials, hypothesis, chi)
     fit = evaluate_fit(data, hypothesis, chi)
