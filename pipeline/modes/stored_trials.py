@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,8 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.effects.time_offset import TimeOffset
+
+log = logging.getLogger(__name__)
 
 # artifacts of a stored trial
 STORED_FILM = "trial"
@@ -57,10 +60,11 @@ def describe_own_clocks(
 ) -> str:
     """Say whether trials of a dataset have clocks of their own; empty if not.
 
-    The fit takes some ten seconds.
+    The fit takes some ten seconds for three trials.
     """
     if _clocks_are_known(experiment, folder):
         return ""
+    log.info("comparing the clocks of the trials")
     trial_clocks = import_module("stringcast.stages.clock.trial_clocks")
     rng = np.random.default_rng(experiment.seed)
     clock = trial_clocks.find_trial_clocks(experiment.model, observations, rng)

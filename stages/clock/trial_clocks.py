@@ -55,6 +55,7 @@ def describe_trial_clocks(clock: ClockOffset) -> str:
         )
     return (
         "The clocks of arm and camera seem to differ from trial to trial: what must be "
-        f"added to the camera's times lies between {ends[0]} and {ends[1]}. Import the "
-        "trials with --clock fit, and diagnose them again."
+        f"added to the camera's times lies between {ends[0]} and {ends[1]}. If they "
+        "were not synchronised, import the trials with --clock fit, and diagnose them "
+        "again. A missing cause may look like this, too."
     )
