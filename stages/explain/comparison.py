@@ -51,6 +51,7 @@ SCREENING_ITERATIONS = 8  # at most
 # Predicted gain of log evidence below which a run stops; with 0.05 some runs stopped on
 # a plateau
 SCREENING_MIN_GAIN = 0.005
+SCREENING_ACCURACY = 2.0  # log evidence by which a fit is better at most
 COARSE_LEVEL = 2  # halvings of the mesh
 
 
@@ -141,7 +142,8 @@ class Comparer:
         chi = runs.chi[np.argmin(runs.loss)]
         compared = self._compare_near(hypothesis, effects, chi, min_gain)
         added = sum(len(effect.parameters) for effect in effects)
-        if compared.log_evidence < self.base.log_evidence - self._penalty(added):
+        expected = self.base.log_evidence - self._penalty(added)
+        if compared.log_evidence < expected - SCREENING_ACCURACY:
             from_base = self._compare_near(hypothesis, effects, start, min_gain)
             compared = max(compared, from_base, key=lambda each: each.log_evidence)
         return compared

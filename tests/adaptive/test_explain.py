@@ -18,7 +18,12 @@ from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain import noise_ratios
 from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
-from stringcast.stages.explain.comparison import NO_CAUSE, Comparer, Comparison
+from stringcast.stages.explain.comparison import (
+    NO_CAUSE,
+    SCREENING_ACCURACY,
+    Comparer,
+    Comparison,
+)
 from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import (
     earlier_causes,
@@ -872,7 +877,8 @@ def test_screening_that_ends_behind_the_base_begins_again_at_it(
     )
     compared = compare.screen(effects)
     penalty = 0.5 * np.log(compare.blocks)
-    assert compared.log_evidence >= compare.base.log_evidence - penalty - 1e-6
+    expected = compare.base.log_evidence - penalty
+    assert compared.log_evidence >= expected - SCREENING_ACCURACY
 
 
 def perform_casts(method, *overrides):
