@@ -38,6 +38,7 @@ from stringcast.stages.inference.search import (
     with_estimated_noise,
 )
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.kept_results import keep_results
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
 
@@ -166,18 +167,25 @@ def fit_from_beginnings(data: TrialData, fit: Fit) -> Fit:
         likelihood = hypothesis_likelihood(data, hypothesis, grid_points)
         white = likelihood.data.whiten(residuals, grid_points)
         other = others[int(np.argmin(np.sum(white**2, axis=1)))]
-        run = solver.fit_least_squares(
-            likelihood,
-            np.stack([fit.chi, other]),
-            BEGINNING_ITERATIONS,
-            STRONG_LOG_EVIDENCE,
-            MAX_GAINS_BEHIND,
-        )
-        ends.append(run.chi)
+        starts = np.stack([fit.chi, other])
+        ends.append(_fit_beginnings(likelihood, starts))
     ends_of_all = np.concatenate(ends)
     by_end = log_likelihoods(data, hypothesis, ends_of_all).sum(axis=0)
     best = ends_of_all[int(np.argmax(by_end))]
     return fit_hypothesis(data, hypothesis, best[None], fit.grid_points)
+
+
+@keep_results
+def _fit_beginnings(likelihood: Likelihood, starts: np.ndarray) -> np.ndarray:
+    """Fit trials whose discrepancy begins late from starts; return exponents (R, P)."""
+    run = solver.fit_least_squares(
+        likelihood,
+        starts,
+        BEGINNING_ITERATIONS,
+        STRONG_LOG_EVIDENCE,
+        MAX_GAINS_BEHIND,
+    )
+    return np.asarray(run.chi)
 
 
 def widen_ranges_with_causes(
