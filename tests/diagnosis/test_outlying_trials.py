@@ -60,5 +60,5 @@ def test_causes_are_found_despite_a_trial_of_another_motion(arm):
     diagnosis = diagnose_trials(ordinary(arm), trials, 4)
     (row,) = diagnosis.finding.to_dict("records")
     assert row["verdict"] == "effect"
-    assert "Trial t3: the others predict its tip to" in row["sentence"]
+    assert "t3: the others predict its tip to" in row["sentence"]
     assert list(diagnosis.causes["effect"].unique()) == ["joint_gain"]
