@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pandas as pd
 
@@ -197,7 +197,12 @@ class Diagnosis:
     @property
     def was_interrupted(self) -> bool:
         """Whether the search was ended before all candidates were compared."""
-        return bool(json.loads(self.finding["diagnosis"].iloc[0]).get("interrupted"))
+        return bool(self.document.get("interrupted"))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The content of diagnosis.json."""
+        return dict(json.loads(self.finding["diagnosis"].iloc[0]))
 
     @property
     def motion(self) -> Motion | None:

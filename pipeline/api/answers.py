@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -63,7 +62,7 @@ class DiagnosisResult:
     @property
     def document(self) -> dict[str, Any]:
         """The content of diagnosis.json, see data/README.md."""
-        return dict(json.loads(self.artifact.finding["diagnosis"].iloc[0]))
+        return self.artifact.document
 
     @property
     def verdict(self) -> str:

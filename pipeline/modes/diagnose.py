@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -96,14 +95,13 @@ class Diagnose(Batch):
 
 def leaves_misfit(diagnosis: Diagnosis) -> bool:
     """Return whether a diagnosis that was not interrupted leaves misfit at the tip."""
-    details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
-    return bool(details["unexplained"]["where"]) and not details["interrupted"]
+    is_left = bool(diagnosis.document["unexplained"]["where"])
+    return is_left and not diagnosis.was_interrupted
 
 
 def diagnosis_outcome(diagnosis: Diagnosis, summary: StageSummary) -> str:
     """Describe the verdict, the gain, and the next experiment."""
-    details = json.loads(diagnosis.finding["diagnosis"].iloc[0])
     sentences = [summary.sentence]
-    if next_experiment := details["next_experiment"]:
+    if next_experiment := diagnosis.document["next_experiment"]:
         sentences.append(next_experiment["sentence"])
     return " ".join(filter(None, sentences))

@@ -32,7 +32,7 @@ VERDICT_TITLES = {
 def summary(diagnosis: Diagnosis) -> StageSummary:
     """Summarise the verdict, what each cause is, and how well trials are predicted."""
     rows = [_cause_summary(cause) for cause in diagnosis.causes.itertuples()]
-    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    document = diagnosis.document
     sentence = diagnosis.sentence
     if document["causes"]:
         sentence = f"{sentence} {describe_gain(document['gain'])}".strip()
@@ -79,7 +79,7 @@ def _cause_summary(cause: Any) -> dict[str, str]:
 
 def files(diagnosis: Diagnosis, folder: Path) -> Mapping[str, str]:
     """Write diagnosis.json, with the next motion's folder, and the extended model."""
-    document = json.loads(diagnosis.finding["diagnosis"].iloc[0])
+    document = diagnosis.document
     if document["next_experiment"] is not None:
         motion = (folder / "motion").as_posix() if diagnosis.motion else None
         document["next_experiment"]["motion"] = motion

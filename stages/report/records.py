@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -232,7 +231,7 @@ class DiagnosisRecord:
     @cached_property
     def document(self) -> dict[str, Any]:
         """Parsed content of the file diagnosis.json."""
-        return dict(json.loads(self.diagnosis.finding["diagnosis"].iloc[0]))
+        return self.diagnosis.document
 
     @cached_property
     def extension(self) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Ends of ranges, and sentences on look-alikes and on the remaining misfit."""
 
-import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -146,16 +145,14 @@ def test_the_remaining_misfit_is_stated_first_if_causes_explain_a_part():
 def test_the_terminal_states_the_gain_if_it_is_known(causes, base_m, addition):
     sizes = {"base": base_m, "extended": 0.00112, "noise_floor": 0.001}
     known = {"causes": causes, "gain": {"rms_m": sizes}, "interrupted": False}
-    finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})
     diagnosis = SimpleNamespace(
         verdict="effect",
         sentence="A cause.",
-        finding=finding,
+        document=known,
         causes=pd.DataFrame(),
     )
     assert summary(diagnosis).sentence == f"A cause.{addition}"
     assert summary(diagnosis).title == "Cause found"
 
     known["interrupted"] = True
-    diagnosis.finding = pd.DataFrame({"diagnosis": [json.dumps(known)]})
     assert summary(diagnosis).title == "Search interrupted"
