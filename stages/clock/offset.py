@@ -59,6 +59,7 @@ SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
 MIN_DRIFT = 0.005  # a drift is named if its whole interval exceeds this
 NO_PRIOR = 1e-6  # negligible precision [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
+MS_PER_S = 1e3  # [ms] in a second
 CLOCK_REMEDY = (
     "Add that to t of points, or import with --clock fit; if it is the arm that lags, "
     "say how well the clocks agree in dataset.yaml: 'clock: {low: -0.001, high: "
@@ -78,6 +79,10 @@ class Interval(NamedTuple):
         """Return the interval of a value with a standard deviation."""
         half = HALF_WIDTH * deviation + floor
         return cls(float(value), float(value - half), float(value + half))
+
+    def in_milliseconds(self) -> Interval:
+        """Convert an interval in seconds to milliseconds."""
+        return Interval(*(MS_PER_S * number for number in self))
 
 
 @dataclass(frozen=True)
@@ -340,17 +345,25 @@ def find_wrong_clock(
     may fit a little better at any offset. Trials that cannot be used, or that do not
     begin at rest, are left out. Parameters are those of `estimate_clock_offset`.
     """
-    usable, _ = usable_trials(model, observations)
-    resting = []
-    for observation in usable:
-        trial = CheckedTrial(observation, model.arm, model.string.length)
-        if onset_window(trial) is not None:
-            resting.append(without_spikes(trial))
+    resting = [without_spikes(trial) for trial in resting_trials(model, observations)]
     if largest_possible_offset(resting) < HARMLESS_OFFSET_S:
         return None
     resting_observations = [trial.observation for trial in resting]
     fitted = fit_clock_offset(model, resting_observations, rng, progress)
     return fitted.clock if fitted.is_certainly_wrong() else None
+
+
+def resting_trials(
+    model: Model, observations: Sequence[Observation]
+) -> list[CheckedTrial]:
+    """Select the usable trials that begin at rest and in which something moves."""
+    usable, _ = usable_trials(model, observations)
+    resting = []
+    for observation in usable:
+        trial = CheckedTrial(observation, model.arm, model.string.length)
+        if onset_window(trial) is not None:
+            resting.append(trial)
+    return resting
 
 
 def _is_harmful(interval: Interval) -> bool:
@@ -372,7 +385,7 @@ def refuse_wrong_clock(
 def describe_wrong_clock(clock: ClockOffset) -> str:
     """State the offset of clocks, in the trial in which it is largest."""
     name, worst = max(clock.by_trial.items(), key=lambda item: abs(item[1].value))
-    value, low, high = (1e3 * number for number in worst)
+    value, low, high = worst.in_milliseconds()
     where = "" if clock.is_common else f" in trial {name}"
     return (
         f"the clocks of arm and camera differ by {value:+.0f} ms{where} (95 % interval "

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from stringcast.data.artifacts import Observation
-from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.clock.offset import ClockOffset, estimate_clock_offset
-from stringcast.stages.clock.windows import onset_window
-from stringcast.stages.diagnose.preparation import usable_trials
+from stringcast.stages.clock.offset import (
+    ClockOffset,
+    estimate_clock_offset,
+    resting_trials,
+)
 from stringcast.stages.model.model import Model
 
 MIN_TRIALS = 2  # the clocks of one trial differ from no others
-MS_PER_S = 1e3
 
 
 def find_trial_clocks(
@@ -32,12 +32,7 @@ def find_trial_clocks(
     observations : sequence of Observation
     rng : numpy.random.Generator
     """
-    usable, _ = usable_trials(model, observations)
-    resting = []
-    for observation in usable:
-        trial = CheckedTrial(observation, model.arm, model.string.length)
-        if onset_window(trial) is not None:
-            resting.append(observation)
+    resting = [trial.observation for trial in resting_trials(model, observations)]
     if len(resting) < MIN_TRIALS:
         return None
     clock = estimate_clock_offset(model, resting, rng)
@@ -49,7 +44,7 @@ def describe_trial_clocks(clock: ClockOffset) -> str:
     ordered = sorted(clock.by_trial.items(), key=lambda item: item[1].value)
     ends = []
     for name, interval in (ordered[0], ordered[-1]):
-        value, low, high = (MS_PER_S * number for number in interval)
+        value, low, high = interval.in_milliseconds()
         ends.append(
             f"{value:+.1f} ms in {name} (95 % interval {low:+.1f} to {high:+.1f} ms)"
         )

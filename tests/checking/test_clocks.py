@@ -176,14 +176,19 @@ def test_an_unknown_disturbance_does_not_separate_clocks(seed):
     assert interval.low < 0 < interval.high
 
 
+def late_by_trial(given_s):
+    """Return trials of a sample whose camera's clock is ahead by some seconds."""
+    trials = []
+    for seen in TRIALS:
+        if seen.name in given_s:
+            trials.append(late(seen, given_s[seen.name], tip_alone=False).observation)
+    return trials
+
+
 @pytest.mark.long
 def test_trials_with_separate_clocks_get_separate_offsets():
     given_s = {"t00": 0.0, "t01": 0.06, "t02": -0.04}
-    trials = [
-        late(seen, given_s[seen.name], tip_alone=False).observation
-        for seen in TRIALS
-        if seen.name in given_s
-    ]
+    trials = late_by_trial(given_s)
     model = plain_model(CHECKED)
     found = estimate_clock_offset(model, trials, np.random.default_rng(0))
     assert not found.is_common
@@ -196,11 +201,7 @@ def test_trials_with_separate_clocks_get_separate_offsets():
 @pytest.mark.long
 def test_trials_whose_clocks_differ_by_a_few_frames_say_so():
     given_s = {"t00": 0.0, "t01": 0.0135, "t02": -0.0105}
-    trials = [
-        late(seen, given_s[seen.name], tip_alone=False).observation
-        for seen in TRIALS
-        if seen.name in given_s
-    ]
+    trials = late_by_trial(given_s)
     model = plain_model(CHECKED)
     found = find_trial_clocks(model, trials, np.random.default_rng(0))
     for name, by in given_s.items():
