@@ -213,10 +213,10 @@ class CauseSearch:
         for causes, each in compared.items():
             parts = []
             for part, other in compared.items():
-                if part and set(part) < set(causes) and not np.isnan(other.rms_m):
+                if part and set(part) < set(causes) and other.has_residual:
                     parts.append(other)
-            is_known = not np.isnan(each.rms_m)
-            if not is_known or all(explains_half(each, p, noise) for p in parts):
+            explains_more = all(explains_half(each, part, noise) for part in parts)
+            if explains_more or not each.has_residual:
                 found[causes] = each
         return found
 
@@ -329,7 +329,7 @@ class CauseSearch:
             start = max(parts, key=self.log_posterior).estimate
             fitted = finalist.comparer.fit(finalist.effects, start)
         self.compared[causes] = fitted
-        if np.isnan(finalist.comparison.rms_m):
+        if not finalist.comparison.has_residual:
             return  # other trials say nothing of what a fit gains over a screening
         gain = fitted.log_evidence - finalist.comparison.log_evidence
         base = finalist.comparer.base.causes
@@ -380,7 +380,7 @@ class CauseSearch:
         Rivals of earlier trials are fitted first.
         """
         causes = comparison.causes
-        is_short = len(causes) < MAX_CAUSES and not np.isnan(comparison.rms_m)
+        is_short = len(causes) < MAX_CAUSES and comparison.has_residual
         return is_short and causes not in self.extended
 
     def extendable_rival(self, best: Comparison) -> Comparison | None:
@@ -418,8 +418,10 @@ class CauseSearch:
         grasp was mistaken for wind: it left only noise until the string whipped, but 3
         times the noise in whole casts. A single cause needs no such confirmation.
         """
-        if best.causes not in self.earlier or len(best.causes) == 1:
-            return best.causes in self.earlier
+        if best.causes not in self.earlier:
+            return False
+        if len(best.causes) == 1:
+            return True
         noise = noise_m(self.comparer.observations)
         return best.rms_m <= MAX_NOISE_RATIO * noise
 

@@ -76,6 +76,11 @@ class Comparison:
     screened: Mapping[str, float] = field(default_factory=dict)
 
     @property
+    def has_residual(self) -> bool:
+        """Whether the residual in these trials is known; else it is NaN."""
+        return not np.isnan(self.rms_m)
+
+    @property
     def exponents(self) -> Mapping[str, float]:
         """Exponents of all parameters by name."""
         if self.estimate is None:
@@ -141,8 +146,7 @@ class Comparer:
         runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
         chi = runs.chi[np.argmin(runs.loss)]
         compared = self._compare_near(hypothesis, effects, chi, min_gain)
-        added = sum(len(effect.parameters) for effect in effects)
-        expected = self.base.log_evidence - self._penalty(added)
+        expected = self.base.log_evidence - self._penalty(effects)
         if compared.log_evidence < expected - SCREENING_ACCURACY:
             from_base = self._compare_near(hypothesis, effects, start, min_gain)
             compared = max(compared, from_base, key=lambda each: each.log_evidence)
@@ -164,8 +168,9 @@ class Comparer:
         exponents = dict(zip(hypothesis.model.names, refined.tolist(), strict=True))
         return replace(compared, screened=exponents)
 
-    def _penalty(self, parameters: int) -> float:
-        """Compute what a number of parameters costs in log evidence (BIC)."""
+    def _penalty(self, effects: Sequence[type[Effect]]) -> float:
+        """Compute what the parameters of effects cost in log evidence (BIC)."""
+        parameters = sum(len(effect.parameters) for effect in effects)
         return float(0.5 * parameters * np.log(self.blocks))
 
     def comparison(
@@ -176,9 +181,8 @@ class Comparer:
     ) -> Comparison:
         """Compute the log evidence of effects from their residual [m]."""
         causes = [*self.base.causes, *(effect.name for effect in effects)]
-        known = sum(len(effect.parameters) for effect in find_effects(causes))
         gain = 2 * self.blocks * np.log(self.original_rms_m / residual_m)
-        evidence = float(gain - self._penalty(known))
+        evidence = float(gain - self._penalty(find_effects(causes)))
         return Comparison(tuple(sorted(causes)), evidence, residual_m, estimate)
 
     def with_gain(self, compared: Comparison, gain: float) -> Comparison:
