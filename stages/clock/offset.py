@@ -173,24 +173,24 @@ def estimate_clock_offset(
     DataError
         If nothing moves, or if a trial cannot be used.
     """
-    return fit_clock_offset(model, observations, rng, progress).clock
-
-
-def fit_clock_offset(
-    model: Model,
-    observations: Sequence[Observation],
-    rng: np.random.Generator,
-    progress: Progress,
-) -> FittedOffset:
-    """Estimate the offset, and keep its fits.
-
-    Parameters are those of `estimate_clock_offset`.
-    """
     # Spikes seem to be beyond the string at the true offset, and bias the fit
     trials = []
     for observation in observations:
         trial = CheckedTrial(observation, model.arm, model.string.length)
         trials.append(without_spikes(trial))
+    return fit_clock_offset(model, trials, rng, progress).clock
+
+
+def fit_clock_offset(
+    model: Model,
+    trials: Sequence[CheckedTrial],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> FittedOffset:
+    """Estimate the offset, and keep its fits.
+
+    trials: without spikes. Other parameters are those of `estimate_clock_offset`.
+    """
     windows = possible_windows(trials)
     used = [trial for trial in trials if trial.name in windows]
     if len(set(windows.values())) > 1:
@@ -348,8 +348,7 @@ def find_wrong_clock(
     resting = [without_spikes(trial) for trial in resting_trials(model, observations)]
     if largest_possible_offset(resting) < HARMLESS_OFFSET_S:
         return None
-    resting_observations = [trial.observation for trial in resting]
-    fitted = fit_clock_offset(model, resting_observations, rng, progress)
+    fitted = fit_clock_offset(model, resting, rng, progress)
     return fitted.clock if fitted.is_certainly_wrong() else None
 
 

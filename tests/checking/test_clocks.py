@@ -330,6 +330,30 @@ def test_an_offset_that_explains_little_misfit_is_not_certain(
     assert (answer is found) == is_refused
 
 
+def test_only_points_that_jump_away_and_back_are_left_out_of_a_fit(monkeypatch):
+    """If spikes are sought again without the first ones, more points are lost."""
+    seen = late(TRIALS[0], 0.12, tip_alone=False)
+    points = seen.points.copy()
+    jumps = np.random.default_rng(0).random(len(points)) < 0.2
+    points.loc[jumps, "x"] += 0.05
+    dirty = replace(seen, observation=replace(seen.observation, points=points))
+    once = without_spikes(dirty)
+    assert len(without_spikes(once).points) < len(once.points) < len(points)
+    used = []
+
+    def keep(trials):
+        used.extend(trials)
+        raise DataError("enough")
+
+    monkeypatch.setattr(offset, "possible_windows", keep)
+    for estimate in (find_wrong_clock, estimate_clock_offset):
+        with pytest.raises(DataError, match="enough"):
+            estimate(
+                plain_model(CHECKED), [dirty.observation], np.random.default_rng(0)
+            )
+    assert [len(trial.points) for trial in used] == 2 * [len(once.points)]
+
+
 def test_a_right_clock_in_one_trial_does_not_make_others_certain(monkeypatch):
     right, wrong = Interval(0.0, -0.01, 0.01), Interval(0.2, 0.1, 0.3)
     found = ClockOffset({"t00": right, "t01": wrong}, False, None, pd.DataFrame())
