@@ -10,9 +10,9 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
 from stringcast.stages.common import rms
+from stringcast.stages.explain.comparer import SCREENING_ITERATIONS
 from stringcast.stages.explain.comparison import (
     MIN_EXPLAINED_FRACTION,
-    SCREENING_ITERATIONS,
     noise_m,
     rms_m,
 )

@@ -17,14 +17,15 @@ from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
 from stringcast.stages.explain import noise_ratios
-from stringcast.stages.explain.cause_search import Budget, CauseSearch, Finalist
-from stringcast.stages.explain.comparison import (
-    NO_CAUSE,
-    SCREENING_ACCURACY,
-    Comparer,
-    Comparison,
+from stringcast.stages.explain.budget import Budget
+from stringcast.stages.explain.cause_search import CauseSearch, Finalist, Screening
+from stringcast.stages.explain.comparer import SCREENING_ACCURACY, Comparer
+from stringcast.stages.explain.comparison import NO_CAUSE, Comparison
+from stringcast.stages.explain.decision import (
+    Evidence,
+    decide,
+    posterior_probabilities,
 )
-from stringcast.stages.explain.decision import decide, posterior_probabilities
 from stringcast.stages.explain.explain import (
     earlier_causes,
     explain,
@@ -72,7 +73,7 @@ def verdict_on(
     }
     probabilities = posterior_probabilities(compared, CANDIDATES)
     ratios = NoiseRatios(ratio_without, ratio, mesh_fraction)
-    return decide(compared, probabilities, TOLERANCE_M, is_complete, ratios)
+    return decide(Evidence(compared, probabilities, ratios, TOLERANCE_M, is_complete))
 
 
 def test_explaining_cause_is_named_after_an_incomplete_search():
@@ -139,7 +140,8 @@ def test_unexplained_residual_above_noise_is_unknown():
     probabilities = posterior_probabilities(compared, CANDIDATES)
     for ratio, expected in ((1.08, "none"), (1.14, "unknown")):
         ratios = NoiseRatios(ratio, ratio)
-        verdict, _ = decide(compared, probabilities, TOLERANCE_M, True, ratios)
+        evidence = Evidence(compared, probabilities, ratios, TOLERANCE_M, True)
+        verdict, _ = decide(evidence)
         assert verdict == expected
 
 
@@ -237,16 +239,16 @@ def search(monkeypatch):
     """
     bases, fits = [], []
 
-    def screen(comparer, effects):
-        causes = [*comparer.base.causes, *(effect.name for effect in effects)]
+    def screen(comparer, effect):
         bases.append(comparer.base.causes)
-        return comparer.comparison(effects, 1e-3 * residual_mm(causes))
+        left_mm = residual_mm([*comparer.base.causes, effect.name])
+        return comparer.compare((effect,), 1e-3 * left_mm)
 
     def fit(comparer, effects, start):
         causes = [*comparer.base.causes, *(effect.name for effect in effects)]
         fits.append(tuple(sorted(causes)))
         left_m = 1e-3 * residual_mm(causes)
-        return comparer.comparison(
+        return comparer.compare(
             effects, left_m, fitted_comparison("", 0.0, left_m).estimate
         )
 
@@ -259,7 +261,7 @@ def search(monkeypatch):
     monkeypatch.setattr(Comparer, "screen", screen)
     monkeypatch.setattr(
         Comparer,
-        "linear_square",
+        "linear_mean_square",
         lambda self, effect: residual_mm([*self.base.causes, effect.name]) ** 2,
     )
     monkeypatch.setattr(Comparer, "fit", fit)
@@ -272,7 +274,7 @@ def search(monkeypatch):
         comparer = Comparer(None, trials, base, base.rms_m, 30, None, 0)
         budget = Budget(seconds, lambda share: None)
         effects = find_effects(names.split())
-        return CauseSearch(comparer, effects, {NO_CAUSE: base}, 4, budget)
+        return CauseSearch(comparer, effects, {NO_CAUSE: base}, 4, TOLERANCE_M, budget)
 
     return SimpleNamespace(begin=begin, bases=bases, fits=fits)
 
@@ -283,8 +285,8 @@ ALL_FOUR = "gravity_direction rest_curvature tip_mass wind"
 def test_three_causes_are_found_though_a_wrong_pair_explains_more_at_first(search):
     """Gravity imitates wind and set together; with it, neither of them helps."""
     searched = search.begin(ALL_FOUR)
-    searched.search(TOLERANCE_M)
-    probabilities = posterior_probabilities(searched.compared, CANDIDATES)
+    searched.run()
+    probabilities = posterior_probabilities(searched.fitted, CANDIDATES)
     three = ("rest_curvature", "tip_mass", "wind")
     assert next(iter(probabilities)) == three
     # the third cause explains less than half of the mean square; the rest is noise
@@ -298,14 +300,14 @@ def test_search_continues_from_earlier_causes_with_residual_above_noise(search):
     base = searched.comparer.base
     for (effect,) in earlier:
         base = replace(searched.comparer, base=base).fit((effect,), None)
-    searched.compared[base.causes] = base
-    searched.search(TOLERANCE_M)
-    assert ("rest_curvature", "tip_mass", "wind") in searched.compared
+    searched.fitted[base.causes] = base
+    searched.run()
+    assert ("rest_curvature", "tip_mass", "wind") in searched.fitted
 
 
 def test_effects_are_added_before_anything_is_fitted(search):
     """Three causes are found in one fit."""
-    search.begin("rest_curvature tip_mass wind clamp").search(TOLERANCE_M)
+    search.begin("rest_curvature tip_mass wind clamp").run()
     assert search.fits == [("rest_curvature", "tip_mass", "wind")]
 
 
@@ -315,13 +317,15 @@ def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", 1.0)
     monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.0)
     searched = search.begin(ALL_FOUR)
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert search.bases[0] == NO_CAUSE
     assert ("gravity_direction",) in search.bases
     assert ("tip_mass",) in search.bases
-    probabilities = posterior_probabilities(searched.explaining(), CANDIDATES)
+    probabilities = posterior_probabilities(
+        searched.comparisons_without_idle_causes(), CANDIDATES
+    )
     assert probabilities["gravity_direction", "tip_mass"] < 0.9
-    assert searched.are_rivals_compared(searched.best, TOLERANCE_M)
+    assert searched.is_exchanged(searched.best)
 
 
 @pytest.mark.parametrize(("cause", "first"), [("clamp", NO_CAUSE), ("wind", ("wind",))])
@@ -331,8 +335,8 @@ def test_effects_are_added_to_earlier_causes_if_these_explain_half(
     """Of 10 mm, a clamp leaves 8 and wind 5."""
     searched = search.begin(ALL_FOUR)
     known = searched.comparer.fit(find_effects([cause]), None)
-    searched.compared[cause,] = known
-    searched.search(TOLERANCE_M)
+    searched.fitted[cause,] = known
+    searched.run()
     assert search.bases[0] == first
 
 
@@ -340,34 +344,34 @@ def test_effect_with_large_deficit_is_not_fitted(search, monkeypatch):
     """After the screening, a clamp explains far less than a heavy tip."""
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin("tip_mass wind clamp")
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert search.fits == [("tip_mass",)]
-    assert searched.explaining()["clamp",].estimate is None
+    assert searched.comparisons_without_idle_causes()["clamp",].estimate is None
 
 
 def test_rival_with_small_deficit_is_fitted(search, monkeypatch):
     """In a slow look, wind resembles a tilt of gravity."""
     monkeypatch.setitem(RMS_MM, "gravity_direction", 1.0)
     monkeypatch.setitem(RMS_MM, "wind", 1.01)
-    search.begin("gravity_direction wind clamp").search(TOLERANCE_M)
+    search.begin("gravity_direction wind clamp").run()
     assert search.fits == [("gravity_direction",), ("wind",)]
 
 
 def test_deficit_is_measured_before_fits(search, monkeypatch):
     """The screening hardly shows two causes whose fits gain log evidence of 40."""
     monkeypatch.setattr(
-        Comparer, "screen", lambda self, effects: self.comparison(effects, 0.01)
+        Comparer, "screen", lambda self, effect: self.compare((effect,), 0.01)
     )
     searched = search.begin("tip_mass wind")
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert ("tip_mass",) in search.fits
-    assert searched.compared["wind",].log_evidence > 30
+    assert searched.fitted["wind",].log_evidence > 30
 
 
 def with_rivals_of_earlier(searched, known, *rivals):
     """Fit the most probable causes of earlier trials, and let rivals follow."""
     fitted = searched.comparer.fit(find_effects([known]), None)
-    searched.compared[fitted.causes] = fitted
+    searched.fitted[fitted.causes] = fitted
     for names in rivals:
         causes = tuple(names.split())
         compared = Comparison(causes, fitted.log_evidence - 1.0, np.nan)
@@ -381,7 +385,7 @@ def test_new_effects_are_fitted_after_rivals_of_earlier_trials(search, monkeypat
     poor = "clamp", "density_taper", "pixel_scale", "rest_curvature"
     searched = search.begin(" ".join(["tip_mass", "wind", "contact", *poor]))
     with_rivals_of_earlier(searched, "contact", *poor)
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert searched.best.causes == ("tip_mass",)
 
 
@@ -389,11 +393,11 @@ def test_a_rival_of_earlier_trials_that_is_right_helps_no_other(search):
     """What was likely before says nothing of what a fit gains over a screening."""
     searched = search.begin("tip_mass wind clamp density_taper")
     with_rivals_of_earlier(searched, "clamp", "tip_mass")
-    searched.add_effect_to(searched.comparer.base)
+    searched.screen(searched.comparer.base)
     searched.fit(searched.rivals[0])
     assert searched.best.causes == ("tip_mass",)
-    expected = searched.comparer.comparison(find_effects(["wind"]), 5.3e-3)
-    found = searched.all_compared()["wind",]
+    expected = searched.comparer.compare(find_effects(["wind"]), 5.3e-3)
+    found = searched.comparisons()["wind",]
     assert found.log_evidence == pytest.approx(expected.log_evidence)
 
 
@@ -402,25 +406,23 @@ def test_a_rival_that_there_was_no_time_to_fit_refutes_no_causes(search, monkeyp
     monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.05)
     searched = search.begin(ALL_FOUR, seconds=0)
     best = searched.comparer.fit(find_effects(["tip_mass", "wind"]), None)
-    searched.compared[best.causes] = best
+    searched.fitted[best.causes] = best
     compared = Comparison(("wind",), best.log_evidence - 1.0, np.nan)
     searched.rivals = [Finalist(find_effects(["wind"]), searched.comparer, compared)]
-    searched.search(TOLERANCE_M)
-    assert best.causes in searched.explaining()
-    assert ("wind",) in searched.explaining()
+    searched.run()
+    assert best.causes in searched.comparisons_without_idle_causes()
+    assert ("wind",) in searched.comparisons_without_idle_causes()
     assert not searched.is_complete
 
 
 def test_search_reports_that_time_ended_it(search):
     searched = search.begin(ALL_FOUR)
-    searched.add_effect_to(searched.comparer.base)
+    searched.screen(searched.comparer.base)
     searched.budget.seconds = 0.0
-    searched.search(TOLERANCE_M)
-    assert searched.is_cut_short
+    searched.run()
     assert not searched.is_complete
     searched = search.begin(ALL_FOUR)
-    searched.search(TOLERANCE_M)
-    assert not searched.is_cut_short
+    searched.run()
     assert searched.is_complete
 
 
@@ -429,9 +431,10 @@ def test_several_causes_are_not_named_before_rivals_are_compared():
     found = fitted_comparison("gravity_direction tip_mass", 80.0, 0.001)
     compared = {each.causes: each for each in (fitted_comparison("", 0.0, 0.04), found)}
     probabilities = posterior_probabilities(compared, CANDIDATES)
-    given = compared, probabilities, TOLERANCE_M, True, NoiseRatios(10.0, 1.0)
-    assert decide(*given)[0] == "cause"
-    verdict, sentence = decide(*given, is_checked=False)
+    ratios = NoiseRatios(10.0, 1.0)
+    evidence = Evidence(compared, probabilities, ratios, TOLERANCE_M, True)
+    assert decide(evidence)[0] == "cause"
+    verdict, sentence = decide(replace(evidence, is_checked=False))
     assert verdict == "candidates"
     assert "time was used up" in sentence
 
@@ -471,9 +474,9 @@ def test_several_causes_need_exchanges_or_confirmation(
 def test_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert search.fits == [("tip_mass",)]
-    assert searched.extended == {NO_CAUSE}
+    assert set(searched.screenings) == {NO_CAUSE}
 
 
 @pytest.mark.parametrize("contact_mm", [4.0, 0.3])
@@ -483,11 +486,11 @@ def test_slow_effect_is_deferred_unless_far_more_evident(
     """A fit of contact takes ten times as long as one of wind."""
     monkeypatch.setitem(RMS_MM, "contact", contact_mm)
     searched = search.begin("tip_mass wind contact")
-    searched.add_effect_to(searched.comparer.base)
-    waiting = searched.waiting(TOLERANCE_M)
+    searched.screen(searched.comparer.base)
+    waiting = searched.waiting_finalists()
     is_deferred = {each.comparison.causes: each.is_deferred for each in waiting}
     assert is_deferred["contact",] == (contact_mm > 1)
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert (("contact",) in search.fits) == (contact_mm < 1)
     assert searched.is_complete
 
@@ -497,7 +500,7 @@ def test_others_are_sought_where_a_slow_effect_leads(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "contact", 1.0)
     monkeypatch.setattr(Budget, "is_used_up", lambda budget, fits, **more: fits > 1)
     searched = search.begin(f"{ALL_FOUR} contact")
-    searched.search(TOLERANCE_M)
+    searched.run()
     assert ("contact",) not in search.fits
     assert ("rest_curvature", "tip_mass", "wind") in search.fits
     assert not searched.is_complete
@@ -510,9 +513,9 @@ def test_no_effects_are_screened_without_time(search):
         searched = search.begin("tip_mass clamp density_taper", seconds=0)
         if is_known:
             known = searched.comparer.fit(find_effects(["wind"]), None)
-            searched.compared["wind",] = known
+            searched.fitted["wind",] = known
             search.fits.clear()
-        searched.search(TOLERANCE_M)
+        searched.run()
         assert len(search.bases) == count
         assert not search.fits
         assert not searched.is_complete
@@ -536,16 +539,16 @@ def explain_and_list(monkeypatch, arm, camera, observe):
     ):
         extended = []
 
-        def add_effect(search, base):
+        def screen(search, base):
             extended.append(base.causes)
-            search.extended.add(base.causes)
+            search.screenings[base.causes] = Screening([])
 
         found = fitted_comparison(causes, 20.0, known_m)
-        monkeypatch.setattr(CauseSearch, "add_effect_to", add_effect)
+        monkeypatch.setattr(CauseSearch, "screen", screen)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
         monkeypatch.setattr(CauseSearch, "noise_ratios_of", lambda *given: ratios)
-        for name in ("build_explanation", "estimate_without_causes"):
+        for name in ("average_over_causes", "estimate_without_causes"):
             monkeypatch.setattr(f"{EXPLAIN}.{name}", lambda *given: given)
         explanation = explain(
             Model(implicit_string(12, 1e-3), arm, camera),
@@ -621,7 +624,7 @@ def test_no_fit_starts_that_would_exceed_the_budget(monkeypatch):
     """The duration of the longest fit is the estimate for the next."""
     clock = iter([0.0, 4.0, 4.0, 10.0, 11.0, 14.0])
     monkeypatch.setattr(
-        "stringcast.stages.explain.cause_search.time.process_time", lambda: next(clock)
+        "stringcast.stages.explain.budget.time.process_time", lambda: next(clock)
     )
     budget = Budget(15.0, lambda share: None)
     assert not budget.is_used_up()  # after 4 s
@@ -774,7 +777,7 @@ def screened(arm, camera, observe):
         compare = comparer_of(model, observation)
         evidence = {}
         for effect in find_effects(effects):
-            evidence[effect.name] = compare.screen((effect,)).log_evidence
+            evidence[effect.name] = compare.screen(effect).log_evidence
         return evidence
 
     return screen
@@ -804,9 +807,9 @@ def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
     model = Model(implicit_string(20, 1e-3), arm, camera)
     compare = comparer_of(model, observe({cause: values}))
     (effect, absent) = find_effects([cause, "pixel_scale"])
-    explained = compare.linear_square(effect) / compare.linear_square(absent)
+    explained = compare.linear_mean_square(effect) / compare.linear_mean_square(absent)
     assert explained < 0.7
-    refined = compare.screen((effect,)).rms_m / compare.screen((absent,)).rms_m
+    refined = compare.screen(effect).rms_m / compare.screen(absent).rms_m
     assert np.sqrt(explained) == pytest.approx(refined, rel=0.1)
 
 
@@ -823,15 +826,15 @@ def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
         noise_scales.extend(likelihood.noise_scales)
         return fit_least_squares(likelihood, *given)
 
-    module = "stringcast.stages.explain.comparison"
+    module = "stringcast.stages.explain.comparer"
     monkeypatch.setattr(f"{module}.fit_least_squares", keep_noise)
     compare = comparer_of(Model(implicit_string(20, 1e-3), arm, camera), observe({}))
-    effects = find_effects(["pixel_scale"])
-    compare.screen(effects)
+    (effect,) = find_effects(["pixel_scale"])
+    compare.screen(effect)
     corrected = noise_scales[0]
     noise_scales.clear()
     monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
-    replace(compare).screen(effects)
+    replace(compare).screen(effect)
     assert corrected < 0.5 * noise_scales[0]
 
 
@@ -847,12 +850,12 @@ def test_screening_starts_on_either_side_of_absence(arm, camera, observe, monkey
         starts.append(given)
         return fit_least_squares(likelihood, given, *options)
 
-    module = "stringcast.stages.explain.comparison"
+    module = "stringcast.stages.explain.comparer"
     monkeypatch.setattr(f"{module}.fit_least_squares", keep_starts)
     (wind,) = find_effects(["wind"])
     hypothesis = Hypothesis(compare.model, (wind,))
     (along_x, _) = hypothesis.parameter_indices(wind, wind.parameters)
-    assert compare.screen((wind,)).log_evidence > 0
+    assert compare.screen(wind).log_evidence > 0
     sides = starts[0][:, along_x]
     assert sides.min() < 0.5 < sides.max()
 
@@ -862,7 +865,7 @@ def test_screening_that_ends_behind_the_base_begins_again_at_it(
 ):
     """From a wrong optimum of the coarse mesh, all iterations would end far behind."""
     compare = comparer_of(Model(implicit_string(20, 1e-3), arm, camera), observe({}))
-    effects = find_effects(["pixel_scale"])
+    (effect,) = find_effects(["pixel_scale"])
     astray = []
 
     def end_astray(likelihood, given, *options):
@@ -873,9 +876,9 @@ def test_screening_that_ends_behind_the_base_begins_again_at_it(
         return runs
 
     monkeypatch.setattr(
-        "stringcast.stages.explain.comparison.fit_least_squares", end_astray
+        "stringcast.stages.explain.comparer.fit_least_squares", end_astray
     )
-    compared = compare.screen(effects)
+    compared = compare.screen(effect)
     penalty = 0.5 * np.log(compare.blocks)
     expected = compare.base.log_evidence - penalty
     assert compared.log_evidence >= expected - SCREENING_ACCURACY
