@@ -18,7 +18,7 @@ from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
 
 # Types of the parts of run.json that commands read, and of those of an iteration
-SUMMARY_TYPES = {"hit": bool, "sentence": str, "iterations": list}
+SUMMARY_TYPES = {"hit": bool | None, "sentence": str, "iterations": list}
 ITERATION_TYPES = {
     "number": int,
     "hit": bool | None,
@@ -70,9 +70,11 @@ class RunResult:
 
 
 def run_summary(result: RunResult) -> dict[str, Any]:
-    """Return the content of run.json."""
+    """Return the content of run.json; only a run of casts states a hit."""
     rows: list[dict[str, Any]] = []
-    summary = {"hit": result.has_hit, "sentence": result.sentence, "iterations": rows}
+    summary = {"sentence": result.sentence, "iterations": rows}
+    if any(iteration.verdict is not None for iteration in result.iterations):
+        summary = {"hit": result.has_hit, **summary}
     for iteration in result.iterations:
         row = iteration_summary(iteration)
         if iteration.is_look:

@@ -320,7 +320,7 @@ def test_index_counts_trials_and_causes_of_a_diagnosis(tmp_path):
     step.mkdir(parents=True)
     store.write_table(RUNS_TABLE, RUNS_TABLE.empty(), step / "x.parquet", {})
     rows = [{"number": number} for number in range(1, 6)]
-    summary = {"hit": False, "sentence": "So.", "iterations": rows}
+    summary = {"sentence": "So.", "iterations": rows}
     (tmp_path / "run.json").write_text(json.dumps(summary))
     causes = [{"effect": "wind"}, {"effect": "clamp"}]
     document = {"verdict": "effect", "causes": causes}

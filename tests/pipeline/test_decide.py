@@ -15,6 +15,7 @@ from stringcast.data.artifacts import Motion
 from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.store import content_hash, load, read_origin
 from stringcast.pipeline.run import run_folder
+from stringcast.pipeline.run.result import run_summary
 from tests.conftest import swing
 from tests.faults.toy import silent
 from tests.pipeline.small import about
@@ -102,6 +103,8 @@ def test_proposed_motion_is_performed_and_its_trial_diagnosed(decided):
     assert result.final_artifact.verdict == "effect"
     document = json.loads((result.folder / "diagnosis.json").read_text())
     assert document["next_experiment"] is None
+    # the motion had no target
+    assert "hit" not in run_summary(result)
     points = pd.read_parquet(result.folder / "points.parquet")
     assert set(points["trial"]) == {second[-1]}
     sources = read_origin(place / "diagnosis" / "finding.parquet")["inputs"]
