@@ -72,9 +72,9 @@ class RunResult:
 def run_summary(result: RunResult) -> dict[str, Any]:
     """Return the content of run.json; only a run of casts states a hit."""
     rows: list[dict[str, Any]] = []
-    summary = {"sentence": result.sentence, "iterations": rows}
+    summary: dict[str, Any] = {"sentence": result.sentence, "iterations": rows}
     if any(iteration.verdict is not None for iteration in result.iterations):
-        summary = {"hit": result.has_hit, **summary}
+        summary["hit"] = result.has_hit
     for iteration in result.iterations:
         row = iteration_summary(iteration)
         if iteration.is_look:
