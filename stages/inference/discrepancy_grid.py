@@ -1,15 +1,20 @@
 """The grid of time courses and scales of a trial's discrepancy.
 
-A discrepancy has one of several time courses, each with the same prior probability.
-Misfit of the string's parameters grows over a trial like the sensitivity to them.
-Misfit of a rest shape or of a geometry has the same size from the first frame on. And a
-model may fit a trial until something unknown begins, such as a gust or a touch: before
-this onset, a growing discrepancy is reduced to a hundredth, and points have nearly the
-weight that they have without one.
+A discrepancy has one of several time courses, each with the same prior probability:
 
-The scale s [m] of a discrepancy is its root mean square at the tip over the trial. A
-**grid point** is a course and a scale. Its index counts all scales of the first course
-first.
+- It grows from the first frame on, like the sensitivity to the string's parameters.
+- It grows like this from an onset during the trial, when something unknown begins, such
+  as a gust or a touch. Before its onset it is a hundredth of that, so that points have
+  nearly the weight that they have without a discrepancy.
+- It has the same size in all frames, like the misfit of a rest shape or of a geometry.
+
+The scale s [m] of a discrepancy is its root mean square at the tip over the trial. Its
+prior is half-Cauchy [1]_. A **grid point** is a course and a scale. Its index counts
+all scales of the first course first. W is the number of courses, S that of scales.
+
+References
+----------
+.. [1] Gelman, Bayesian Analysis 1, 515 (2006).
 """
 
 from __future__ import annotations
@@ -19,19 +24,22 @@ from scipy.special import logsumexp
 
 # Scales s, with a ratio of 1.56; the largest exceeds any misfit
 DISCREPANCY_SCALES_M = np.concatenate([[0.0], np.geomspace(5e-5, 2.0, 25)])
+SCALE_COUNT = len(DISCREPANCY_SCALES_M)
 MEDIAN_SCALE_M = 5e-4  # of the half-Cauchy prior of s
 ONSET_SHARES = np.arange(6) / 6  # of the trial's duration: onsets of growing courses
-COURSE_COUNT = len(ONSET_SHARES) + 1  # the last has a constant size
+CONSTANT_COURSE = len(ONSET_SHARES)  # index of the course of constant size, the last
+COURSE_COUNT = len(ONSET_SHARES) + 1
 SHARE_BEFORE_ONSET = 0.01  # factor of the discrepancy before its onset
 
 
 def onset_times(times: np.ndarray) -> np.ndarray:
     """Place the onsets of growing courses in a trial with frames at times (F,) [s]."""
-    return np.asarray(times[0] + ONSET_SHARES * (times[-1] - times[0]))
+    duration = times[-1] - times[0]
+    return np.asarray(times[0] + ONSET_SHARES * duration)
 
 
 def sizes_by_course(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
-    """Compute the relative size of a discrepancy at each frame for each course, (W, F).
+    """Compute the relative size of a discrepancy at each frame for each course.
 
     Parameters
     ----------
@@ -39,25 +47,38 @@ def sizes_by_course(times: np.ndarray, growth: np.ndarray) -> np.ndarray:
         Frame times [s].
     growth : numpy.ndarray, shape (F,)
         Relative size of a discrepancy that grows from the first frame on.
+
+    Returns
+    -------
+    numpy.ndarray, shape (W, F)
     """
-    has_begun = times >= onset_times(times)[:, None]
-    growing = np.where(has_begun, growth, SHARE_BEFORE_ONSET * growth)
-    return np.vstack([growing, np.ones(len(times))])
+    onsets = onset_times(times)
+    has_begun = times >= onsets[:, None]  # (W - 1, F)
+    before_onset = SHARE_BEFORE_ONSET * growth  # (F,)
+    growing = np.where(has_begun, growth, before_onset)  # (W - 1, F)
+    constant = np.ones(len(times))  # (F,)
+    return np.vstack([growing, constant])
 
 
 def split_grid_point(grid_point: int) -> tuple[int, int]:
-    """Look up the indices of the course and of the scale of a grid point."""
-    return divmod(int(grid_point), len(DISCREPANCY_SCALES_M))
+    """Return the indices of the course and of the scale of a grid point."""
+    return divmod(int(grid_point), SCALE_COUNT)
 
 
 def onset_time(times: np.ndarray, grid_point: int) -> float:
-    """Look up when the discrepancy of a grid point begins [s].
+    """Return when the discrepancy of a grid point begins [s].
 
-    times: of the trial's frames, (F,) [s].
+    Parameters
+    ----------
+    times : numpy.ndarray, shape (F,)
+        Frame times of the trial [s].
+    grid_point : int
+        Index of the course and the scale.
     """
     course, _ = split_grid_point(grid_point)
-    onsets = np.append(onset_times(times), times[0])
-    return float(onsets[course])
+    if course == CONSTANT_COURSE:
+        return float(times[0])
+    return float(onset_times(times)[course])
 
 
 def grid_points_of_later_onsets(scale_m: float) -> np.ndarray:
@@ -67,31 +88,39 @@ def grid_points_of_later_onsets(scale_m: float) -> np.ndarray:
     """
     courses = np.flatnonzero(ONSET_SHARES)
     scale_index = int(np.searchsorted(DISCREPANCY_SCALES_M, scale_m))
-    return courses * len(DISCREPANCY_SCALES_M) + scale_index
+    return courses * SCALE_COUNT + scale_index
 
 
 def median_grid_point(grid_points: np.ndarray) -> int:
     """Choose the first course and the median scale of some grid points."""
-    return int(np.median(grid_points % len(DISCREPANCY_SCALES_M)))
+    scale_indices = grid_points % SCALE_COUNT
+    return int(np.median(scale_indices))
 
 
 def log_scale_prior() -> np.ndarray:
-    """Compute the log prior of the scales, (S,): half-Cauchy between midpoints."""
+    """Compute the log prior probability of each scale, (S,).
+
+    A scale stands for the interval between the midpoints to its neighbours.
+    """
     scales = DISCREPANCY_SCALES_M
-    midpoints = np.sqrt(scales[1:-1] * scales[2:])
-    edges = np.concatenate([[0.0, scales[1] / 2], midpoints, [np.inf]])
+    first_midpoint = scales[1] / 2
+    midpoints = np.sqrt(scales[1:-1] * scales[2:])  # (S - 2,), geometric
+    edges = np.concatenate([[0.0, first_midpoint], midpoints, [np.inf]])  # (S + 1,)
     cumulative = 2 / np.pi * np.arctan(edges / MEDIAN_SCALE_M)
-    return np.asarray(np.log(np.diff(cumulative)))
+    probabilities = np.diff(cumulative)
+    return np.asarray(np.log(probabilities))
 
 
 def log_grid_prior() -> np.ndarray:
-    """Compute the log prior of the grid points, (W S,)."""
-    return np.tile(log_scale_prior() - np.log(COURSE_COUNT), COURSE_COUNT)
+    """Compute the log prior probability of each grid point, (W S,)."""
+    of_one_course = log_scale_prior() - np.log(COURSE_COUNT)
+    return np.tile(of_one_course, COURSE_COUNT)
 
 
 def marginal_log_likelihood(log_likelihoods: np.ndarray) -> np.ndarray:
     """Integrate the grid point out of log-likelihoods (..., W S)."""
-    return np.asarray(logsumexp(log_likelihoods + log_grid_prior(), axis=-1))
+    log_joint = log_likelihoods + log_grid_prior()
+    return np.asarray(logsumexp(log_joint, axis=-1))
 
 
 def most_likely_grid_point(log_likelihoods: np.ndarray) -> np.ndarray:
@@ -99,6 +128,7 @@ def most_likely_grid_point(log_likelihoods: np.ndarray) -> np.ndarray:
 
     If its scale is zero, the course has no meaning and the first one is chosen.
     """
-    grid_points = np.argmax(log_likelihoods + log_grid_prior(), axis=-1)
-    has_discrepancy = grid_points % len(DISCREPANCY_SCALES_M) > 0
+    log_joint = log_likelihoods + log_grid_prior()
+    grid_points = np.argmax(log_joint, axis=-1)
+    has_discrepancy = grid_points % SCALE_COUNT > 0
     return np.where(has_discrepancy, grid_points, 0)
