@@ -22,9 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from stringcast.stages.inference.discrepancy_basis import CourseBasis, DiscrepancyBasis
-from stringcast.stages.inference.discrepancy_grid import (
-    split_grid_point,
-)
+from stringcast.stages.inference.discrepancy_grid import split_grid_point
 from stringcast.stages.inference.noise import MeasuredTrial
 from stringcast.stages.inference.whitening import LowRankWhitening
 
@@ -157,15 +155,15 @@ class Discrepancy:
         variance = basis.variance_at(scale_index)
         amplitudes = self._nuisance_amplitudes(coefficients, grid_point)
         explained = self.nuisance_coefficients @ amplitudes
-        turned = basis.turn((coefficients - explained)[None])
-        smooth = turned * variance / (1.0 + variance)
+        rotated = basis.rotate((coefficients - explained)[None])
+        smooth = rotated * variance / (1.0 + variance)
         return np.asarray(self._at_points(smooth, course, chosen)[0])
 
     def _at_points(
-        self, turned: np.ndarray, course: int, chosen: np.ndarray
+        self, rotated: np.ndarray, course: int, chosen: np.ndarray
     ) -> np.ndarray:
         """Evaluate rotated coefficients (C, 2, M) at some points, (C, 2 q)."""
-        coefficients = self.basis.by_course[course].turn_back(turned)
+        coefficients = self.basis.by_course[course].rotate_back(rotated)
         return self.basis.at_points(coefficients, chosen)
 
     def _nuisance_amplitudes(
@@ -197,7 +195,7 @@ class _ErrorsOfCourse:
 
     def __init__(self, basis: CourseBasis, nuisance_coefficients: np.ndarray) -> None:
         self.basis = basis
-        self.nuisance = basis.turn(nuisance_coefficients.T)
+        self.nuisance = basis.rotate(nuisance_coefficients.T)
         self._whitenings: dict[int, tuple[np.ndarray, LowRankWhitening]] = {}
 
     def whiten(self, coefficients: np.ndarray, scale_index: int) -> np.ndarray:
@@ -209,17 +207,17 @@ class _ErrorsOfCourse:
             whitening = LowRankWhitening.from_columns(columns)
             self._whitenings[scale_index] = (deviation, whitening)
         deviation, whitening = self._whitenings[scale_index]
-        turned = self.basis.turn(coefficients).reshape(coefficients.shape)
-        return whitening(turned / deviation)
+        rotated = self.basis.rotate(coefficients).reshape(coefficients.shape)
+        return whitening(rotated / deviation)
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of coefficients (C, 2 M) at each scale, (C, S)."""
-        precision = self.basis.precision_by_scale
-        covariance, log_determinant = self._nuisance_terms
-        turned = self.basis.turn(coefficients)
-        square = np.sum(turned**2, axis=1) @ precision.T  # (C, S)
-        projected = self._project(turned, precision).transpose(2, 0, 1)  # (S, C, m)
-        explained = np.sum((projected @ covariance) * projected, axis=2)
+        precision = self.basis.precision_by_scale  # of D, (S, M)
+        covariance, log_determinant = self._nuisance_terms  # (S, m, m), (S,)
+        rotated = self.basis.rotate(coefficients)  # (C, 2, M)
+        square = np.sum(rotated**2, axis=1) @ precision.T  # c' D^-1 c, (C, S)
+        projected = self._project(rotated, precision).transpose(2, 0, 1)  # (S, C, m)
+        explained = np.sum((projected @ covariance) * projected, axis=2)  # (S, C)
         return np.asarray(-0.5 * (square - explained.T + log_determinant))
 
     def nuisance_amplitudes(
@@ -227,14 +225,14 @@ class _ErrorsOfCourse:
     ) -> np.ndarray:
         """Compute the most likely amplitudes of U given coefficients (2 M,), (m,)."""
         precision = self.basis.precision_by_scale[[scale_index]]
-        turned = self.basis.turn(coefficients[None])
-        projected = self._project(turned, precision)[0, :, 0]
+        rotated = self.basis.rotate(coefficients[None])
+        projected = self._project(rotated, precision)[0, :, 0]
         covariance, _ = self._nuisance_terms
         return np.asarray(covariance[scale_index] @ projected)
 
-    def _project(self, turned: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    def _project(self, rotated: np.ndarray, precision: np.ndarray) -> np.ndarray:
         """Compute U' D^-1 c of rotated coefficients c (C, 2, M) by scale, (C, m, S)."""
-        x, y = turned[:, None, 0], turned[:, None, 1]
+        x, y = rotated[:, None, 0], rotated[:, None, 1]
         products = x * self.nuisance[:, 0] + y * self.nuisance[:, 1]  # (C, m, M)
         sums = products.reshape(-1, products.shape[2]) @ precision.T
         return np.asarray(sums.reshape(*products.shape[:2], len(precision)))

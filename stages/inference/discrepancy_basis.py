@@ -48,16 +48,16 @@ class CourseBasis:
     rotation: np.ndarray
     variance: np.ndarray
 
-    def turn(self, coefficients: np.ndarray) -> np.ndarray:
+    def rotate(self, coefficients: np.ndarray) -> np.ndarray:
         """Rotate coefficients (C, 2 M) of a trial, (C, 2, M)."""
         by_block = coefficients.reshape(-1, len(self.rotation))
-        turned = by_block @ self.rotation
-        return np.asarray(turned.reshape(-1, 2, len(self.variance)))
+        rotated = by_block @ self.rotation
+        return np.asarray(rotated.reshape(-1, 2, len(self.variance)))
 
-    def turn_back(self, turned: np.ndarray) -> np.ndarray:
+    def rotate_back(self, rotated: np.ndarray) -> np.ndarray:
         """Rotate (C, 2, M) back to coefficients of the trial, (C, 2 M)."""
-        by_block = turned.reshape(-1, len(self.rotation))
-        return np.asarray((by_block @ self.rotation.T).reshape(len(turned), -1))
+        by_block = rotated.reshape(-1, len(self.rotation))
+        return np.asarray((by_block @ self.rotation.T).reshape(len(rotated), -1))
 
     def variance_at(self, scale_index: int) -> np.ndarray:
         """Compute the variance of a discrepancy at a scale, (M,)."""
@@ -98,13 +98,9 @@ class DiscrepancyBasis:
         growth: relative size of a discrepancy at each frame, (F,).
         """
         noise = trial.noise
-        key = content_digest(
-            [
-                *(trial.times, trial.frame, trial.s, trial.model.string.length),
-                *(noise.place_covariance, noise.frame_correlation),
-                *(trial.sigma, growth),
-            ]
-        )
+        points = [trial.times, trial.frame, trial.s, trial.model.string.length]
+        correlations = [noise.place_covariance, noise.frame_correlation]
+        key = content_digest([*points, *correlations, trial.sigma, growth])
         basis = _BASES_IN_USE.get(key)
         if basis is None:
             sizes = sizes_by_course(trial.times, growth)
@@ -128,16 +124,17 @@ class DiscrepancyBasis:
     @cached_property
     def by_course(self) -> tuple[CourseBasis, ...]:
         """The rotated coefficients for each course, W of them."""
-        return tuple(self._turn_for(size) for size in self.sizes)
+        return tuple(self._basis_for_size(size) for size in self.sizes)
 
-    def _turn_for(self, size: np.ndarray) -> CourseBasis:
+    def _basis_for_size(self, size: np.ndarray) -> CourseBasis:
         """Rotate coefficients for a discrepancy of a size at each frame, (F,)."""
         # Growth is zero in a trial whose simulation diverges
         unit_size = size / max(rms(size), np.finfo(float).tiny)
-        root = self.noise_basis.discrepancy_root(unit_size[:, None] * self.time_root)
-        variance, rotation = eigh(root @ root.T, driver="evd")
-        by_block = self.noise_basis.block_variance
-        variances = np.outer(by_block, np.maximum(variance, 0.0))
+        time_root = unit_size[:, None] * self.time_root  # (F, R)
+        root = self.noise_basis.discrepancy_root(time_root)
+        variance, rotation = eigh(root @ root.T, driver="evd")  # (m,), (m, m)
+        block_variance = self.noise_basis.block_variance
+        variances = np.outer(block_variance, np.maximum(variance, 0.0))
         return CourseBasis(rotation, variances.ravel())
 
 
