@@ -26,7 +26,7 @@ TIME_IS_UP = "the processor time was used up before all likely causes were fitte
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a search found: the compared causes, and the numbers that decide.
+    """The causes that a search compared, and the numbers that decide the verdict.
 
     Parameters
     ----------
