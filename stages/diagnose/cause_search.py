@@ -65,14 +65,14 @@ class _Search:
         The trials, including those that are chaotic without causes.
     settings : DiagnosisSettings
         Settings, with the ranges and the longest time step of this search.
-    returned : tuple of str
-        Names of trials that were resolved with causes. They are kept, even if chaotic
+    resolved_with_causes : tuple of str
+        Names of chaotic trials that causes resolved. They are kept, even if chaotic
         without causes.
     """
 
     trials: TrialsByUse
     settings: DiagnosisSettings
-    returned: tuple[str, ...] = ()
+    resolved_with_causes: tuple[str, ...] = ()
 
     def begin(self, known: SelectionState | None = None) -> SearchProgress:
         """Prepare the data, and fit the causes of an earlier search, if any."""
@@ -87,7 +87,7 @@ class _Search:
             settings.starts,
             lambda share: settings.progress(0.3 * share),
             settings.longest_step_s,
-            self.returned,
+            self.resolved_with_causes,
         )
         effects = candidate_effects(
             prepared.base_fit.hypothesis.model,
@@ -126,19 +126,19 @@ def search_until_trials_settle(
       it from these causes.
     """
     search = _Search(trials, settings)
-    reached: SearchProgress | None = search.begin()
-    while reached is not None:
+    restart: SearchProgress | None = search.begin()
+    while restart is not None:
+        reached = restart
+        restart = None
         yield reached
-        following = None
         selected = _select_causes(reached, settings)
         for reached in selected:
-            search, following = _search_after_new_cause(search, reached)
-            if following is not None:
+            search, restart = _search_after_new_cause(search, reached)
+            if restart is not None:
                 break
             yield reached
-        else:
-            search, following = _search_other_trials(search, reached.state)
-        reached = following
+        if restart is None:
+            search, restart = _search_other_trials(search, reached.state)
 
 
 def _select_causes(
@@ -167,7 +167,8 @@ def _search_after_new_cause(
     resolved = _trials_resolved_with_causes(
         state, search.trials.searched_trials, criteria.tip_tolerance_m
     )
-    search = replace(search, returned=(*search.returned, *resolved))
+    names = (*search.resolved_with_causes, *resolved)
+    search = replace(search, resolved_with_causes=names)
 
     # Other steps or ranges require all fits to be repeated, so they are chosen first
     chaotic = _trials_chaotic_with_causes(state, criteria)
@@ -197,7 +198,7 @@ def _search_without_chaotic_trials(
     Those that were used again before are left out for good.
     """
     log.info("chaotic with the causes: %s", ", ".join(chaotic))
-    for_good = [name for name in chaotic if name in search.returned]
+    for_good = [name for name in chaotic if name in search.resolved_with_causes]
     trials = search.trials.excluding_chaotic(for_good)
     state = without_chaotic_trials(reached.state, chaotic, search.settings.criteria)
     used = trials.excluding_chaotic(state.prepared.chaotic_trials)

@@ -8,9 +8,8 @@ discrepancy are common to all.
 
 A rival may be in a worse local minimum of the shared parameters. So it is also fitted
 from those of the most evident other rival, and from other places and times where causes
-may act. The more evident of both fits goes on. The slopes of the error are computed
-again if the error changes differently from their prediction. The gain that the last
-pass predicted but did not reach is an error of the log evidence.
+may act. The more evident of both fits goes on. The gain that its last pass predicted
+but did not reach is an error of the log evidence.
 """
 
 from __future__ import annotations
@@ -70,43 +69,58 @@ def fit_to_common_data(
         rival = rivals[number]
         others = [other for other in rivals if other is not rival]
         best = max(fitted_before or others, key=lambda other: other.log_evidence)
-        searched = prepared_at(prepared, rival)
-        current = evaluate_with_own_error(searched, rival, rival.chi)
-
-        # Further starts
-        exponents = rival.exponents | best.exponents
-        shared = rival.hypothesis.exponents_from(exponents)
-        alternatives = alternative_parameter_starts(current.data, current.fit)
-        starts = np.stack([shared, *alternatives])
-        moved_to = _find_best(current, starts, min_gain)
-        alternative = evaluate_with_own_error(searched, rival, moved_to)
-        if alternative.fit.log_evidence > current.fit.log_evidence:
-            current = alternative
-
-        surprise = 0.0  # error of the log-likelihood that the last pass predicted
-        for _ in range(MAX_PASSES):
-            if surprise > min_gain:
-                # The slopes of the error are different here
-                searched = prepared_at(prepared, current.fit)
-                chi = current.fit.chi
-                current = evaluate_with_own_error(searched, current.fit, chi)
-            start = current.fit.chi[None]
-            moved_to = _find_best(current, start, min_gain)
-            by_trial = log_likelihoods(current.data, rival.hypothesis, moved_to[None])
-            expected = by_trial.sum()
-            moved = evaluate_with_own_error(searched, current.fit, moved_to)
-            gain = moved.fit.log_evidence - current.fit.log_evidence
-            found = moved.fit.log_likelihood_by_trial.sum()
-            surprise = abs(found - expected)
-            if gain > 0:
-                current = moved
-            missed = expected - current.fit.log_likelihood_by_trial.sum()
-            if max(gain, surprise) < min_gain:
-                break
-        error = max(current.fit.log_evidence_error, missed)
-        return replace(current.fit, log_evidence_error=error)
+        at_rival = prepared_at(prepared, rival)
+        start = _find_start(at_rival, rival, best, min_gain)
+        return _refine_with_own_error(at_rival, start, min_gain)
 
     return fit_in_workers(fit_rival, [rival.hypothesis for rival in rivals])
+
+
+def _find_start(
+    prepared: PreparedData, rival: Fit, best: Fit, min_gain: float
+) -> EvaluatedFit:
+    """Return the better of a rival at its optimum and of a fit from elsewhere.
+
+    The latter starts from the shared parameters of the best other rival, and from other
+    places and times.
+    """
+    at_optimum = evaluate_with_own_error(prepared, rival, rival.chi)
+    shared = rival.hypothesis.exponents_from(rival.exponents | best.exponents)
+    alternatives = alternative_parameter_starts(at_optimum.data, at_optimum.fit)
+    starts = np.stack([shared, *alternatives])  # (C, P)
+    chi = _find_best(at_optimum, starts, min_gain)
+    elsewhere = evaluate_with_own_error(prepared, rival, chi)
+    return max(at_optimum, elsewhere, key=lambda option: option.fit.log_evidence)
+
+
+def _refine_with_own_error(
+    prepared: PreparedData, current: EvaluatedFit, min_gain: float
+) -> Fit:
+    """Alternate between a fit and the numerical error at its optimum.
+
+    The solver predicts the error from its slopes. If the log-likelihood with the real
+    error differs from the predicted one, the slopes are computed again.
+    """
+    hypothesis = current.fit.hypothesis
+    prediction_error = 0.0  # of the log-likelihood, in the last pass
+    missed_gain = 0.0  # that the last pass predicted
+    for _ in range(MAX_PASSES):
+        if prediction_error > min_gain:
+            prepared = prepared_at(prepared, current.fit)
+            chi = current.fit.chi
+            current = evaluate_with_own_error(prepared, current.fit, chi)
+        chi = _find_best(current, current.fit.chi[None], min_gain)
+        predicted = log_likelihoods(current.data, hypothesis, chi[None]).sum()
+        moved = evaluate_with_own_error(prepared, current.fit, chi)
+        gain = moved.fit.log_evidence - current.fit.log_evidence
+        prediction_error = abs(moved.fit.log_likelihood_by_trial.sum() - predicted)
+        if gain > 0:
+            current = moved
+        missed_gain = predicted - current.fit.log_likelihood_by_trial.sum()
+        if max(gain, prediction_error) < min_gain:
+            break
+    error = max(current.fit.log_evidence_error, missed_gain)
+    return replace(current.fit, log_evidence_error=error)
 
 
 def prepared_at(prepared: PreparedData, rival: Fit) -> PreparedData:
