@@ -11,7 +11,7 @@ d is the difference of the rivals, J the slopes of the other one, I the informat
 the measured trials about its parameters, and V the covariance of noise and discrepancy.
 All motions are first compared by d, then the best of them by m. Rivals whose tips
 differ by no more than the unexplained misfit of the measured trials remain look-alikes,
-because they share their probability (`posteriors`).
+because they share their probability (`single_effect`).
 """
 
 from __future__ import annotations

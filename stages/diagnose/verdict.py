@@ -15,13 +15,7 @@ from stringcast.stages.diagnose.measures import (
     refit,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.posteriors import (
-    Posteriors,
-    SingleEffectPosterior,
-    bootstrap_weights,
-    inclusion_probabilities,
-    single_effect_posterior,
-)
+from stringcast.stages.diagnose.posteriors import Posteriors
 from stringcast.stages.diagnose.rules import (
     Criteria,
     VerdictNumbers,
@@ -34,6 +28,12 @@ from stringcast.stages.diagnose.rules import (
     unresolved_by_simulation,
 )
 from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.single_effect import (
+    SingleEffectPosterior,
+    bootstrap_weights,
+    inclusion_probabilities,
+    single_effect_posterior,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import (
     DISCREPANCY_DRAWS,

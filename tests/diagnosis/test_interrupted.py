@@ -6,9 +6,9 @@ import pytest
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import cause_search, verdict
-from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.single_effect import SingleEffectPosterior
 from tests.diagnosis.test_forward_selection import diagnose_casts, interrupt
 
 

@@ -8,15 +8,20 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import agreement, posteriors, selection_state
+from stringcast.stages.diagnose import (
+    agreement,
+    posteriors,
+    selection_state,
+    single_effect,
+)
 from stringcast.stages.diagnose.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
 )
-from stringcast.stages.diagnose.posteriors import SingleEffectPosterior
 from stringcast.stages.diagnose.prepared_data import RefinedFit
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.single_effect import SingleEffectPosterior
 from stringcast.stages.diagnose.stand_ins import probability_by_shares
 from stringcast.stages.inference.discrepancy_grid import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
@@ -210,7 +215,9 @@ def test_a_rival_at_the_end_of_its_range_does_not_compete(inside_range, monkeypa
 
 def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     """Compute the posterior of a place with wind as only candidate; it gains 80."""
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: inside_range)
+    monkeypatch.setattr(
+        single_effect, "is_inside_range", lambda fit, cause: inside_range
+    )
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
@@ -222,16 +229,16 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=(
     error : of the log evidence of the effects
     """
     monkeypatch.setattr(
-        posteriors,
+        single_effect,
         "background_log_evidence_gains",
         lambda data, fit, small, weights: np.zeros(len(weights)),
     )
     monkeypatch.setattr(
-        posteriors,
+        single_effect,
         "tip_shift_rms",
         lambda data, one, fit: np.full(4, 0.0 if one is fit else difference_m),
     )
-    monkeypatch.setattr(posteriors, "unexplained_tip_rms", lambda *_: np.ones(4))
+    monkeypatch.setattr(single_effect, "unexplained_tip_rms", lambda *_: np.ones(4))
 
     def place(name, log_evidence, by_trial, error):
         return SimpleNamespace(
@@ -247,9 +254,9 @@ def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=(
     resolved = [fit for fit in fits if fit.hypothesis.causes[0].name not in unresolved]
     unresolved = [fit for fit in fits if fit not in resolved]
     rng = np.random.default_rng(0)
-    weights = 4 * rng.dirichlet(np.ones(4), posteriors.BOOTSTRAP_SAMPLES)
+    weights = 4 * rng.dirichlet(np.ones(4), single_effect.BOOTSTRAP_SAMPLES)
     step = SelectionStep(None, parent, (), resolved, unresolved=unresolved)
-    return posteriors.single_effect_posterior(step, (), weights, 20, 1e-3)
+    return single_effect.single_effect_posterior(step, (), weights, 20, 1e-3)
 
 
 @pytest.mark.parametrize(("difference_m", "share"), [(0.9, 0.5), (1.1, 0.0)])
@@ -257,7 +264,7 @@ def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
     difference_m, share, monkeypatch
 ):
     """By evidence alone wind would be certain; it still ranks first."""
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
     posterior = posterior_of_place(monkeypatch, gains, difference_m)
     assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
@@ -267,7 +274,7 @@ def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
 
 def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):
     """It is not more probable than the best resolved effect."""
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {
         "softening": (90.0, (22.5,) * 4),
         "tilt": (60.0, (15.0,) * 4),
@@ -285,7 +292,7 @@ def test_rivals_that_differ_by_less_than_their_errors_share_probability(
     error, share, monkeypatch
 ):
     """A difference of 20 with an error of 28 has the wrong sign in a quarter."""
-    monkeypatch.setattr(posteriors, "is_inside_range", lambda fit, cause: True)
+    monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {"dry": (200.0, (50.0,) * 4), "worn": (180.0, (45.0,) * 4)}
     posterior = posterior_of_place(monkeypatch, gains, 1.1, error)
     assert posterior.probabilities["worn"] == pytest.approx(share, abs=0.1)
@@ -432,7 +439,7 @@ def test_the_inclusion_probability_is_that_of_any_place():
         SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None, None),
         SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None, None),
     ]
-    found = posteriors.inclusion_probabilities(places)
+    found = single_effect.inclusion_probabilities(places)
     assert found == pytest.approx({"wind": 0.7, "tip_mass": 0.2})
 
 
