@@ -14,7 +14,7 @@ from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria, misfit_remains
 from stringcast.stages.diagnose.verdict import Judgement
-from stringcast.stages.inference.discrepancy_grid import onset_time
+from stringcast.stages.inference.discrepancy_grid import count_courses, onset_time
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.model import Model
@@ -162,8 +162,24 @@ def unexplained_document(
         "tip_rms_m": {"value": value, "low": low, "high": high},
         "tolerance_m": criteria.tip_tolerance_m,
         "where": where,
+        "course": _course_sentence(fit.grid_points),
         "sentence": " ".join(filter(None, sentences)),
     }
+
+
+def _course_sentence(grid_points: np.ndarray) -> str:
+    """State how the discrepancies of trials (K,) change over time, if there are any."""
+    grows, *begin_later, constant = count_courses(grid_points).tolist()
+    counts = {
+        "grows over the trial": grows,
+        "begins during the trial": sum(begin_later),
+        "has the same size at all times": constant,
+    }
+    stated = [f"{course} in {n}" for course, n in counts.items() if n > 0]
+    if not stated:
+        return ""
+    stated[0] += f" of {len(grid_points)} trials"
+    return f"The unexplained misfit {_join_with_and(stated)}."
 
 
 def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:

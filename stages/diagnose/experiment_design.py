@@ -2,8 +2,9 @@
 
 It is the one of many random motions with the largest expected log odds. The parameters
 of each rival are uncertain by as much as the measured trials leave them, and its
-discrepancy is as large as in these. To first order, the log odds of the true rival over
-another in one more trial are normal with mean m and variance 2 m:
+discrepancy has the size and the time course that are typical of these. To first order,
+the log odds of the true rival over another in one more trial are normal with mean m and
+variance 2 m:
 
     m = 1/2 d' (V + J I^(-1) J')^(-1) d
 
@@ -42,7 +43,7 @@ from stringcast.stages.diagnose.rules import remainder_hides
 from stringcast.stages.generate.generate import command_table, control_point_table
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.batch import simulate_trials
-from stringcast.stages.inference.discrepancy_grid import median_grid_point
+from stringcast.stages.inference.discrepancy_grid import typical_grid_point
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
@@ -116,7 +117,7 @@ class Rivals:
         names = list(self.fits)
         fits = list(self.fits.values())
         count = len(fits)
-        grid_points = np.array([median_grid_point(fits[0].grid_points)])
+        grid_points = np.array([typical_grid_point(fits[0].grid_points)])
         residuals = []  # (2 n,) of each rival
         slopes = []  # (P, 2 n)
         for fit in fits:

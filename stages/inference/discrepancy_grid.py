@@ -91,10 +91,20 @@ def grid_points_of_later_onsets(scale_m: float) -> np.ndarray:
     return courses * SCALE_COUNT + scale_index
 
 
-def median_grid_point(grid_points: np.ndarray) -> int:
-    """Choose the first course and the median scale of some grid points."""
-    scale_indices = grid_points % SCALE_COUNT
-    return int(np.median(scale_indices))
+def count_courses(grid_points: np.ndarray) -> np.ndarray:
+    """Count the trials whose discrepancy has each course, (W,).
+
+    grid_points: of the trials, (K,). A scale of zero is no discrepancy.
+    """
+    courses, scale_indices = np.divmod(grid_points, SCALE_COUNT)
+    return np.bincount(courses[scale_indices > 0], minlength=COURSE_COUNT)
+
+
+def typical_grid_point(grid_points: np.ndarray) -> int:
+    """Choose the most frequent course and the median scale of trials (K,)."""
+    course = int(np.argmax(count_courses(grid_points)))
+    scale_index = int(np.median(grid_points % SCALE_COUNT))
+    return course * SCALE_COUNT + scale_index
 
 
 def log_scale_prior() -> np.ndarray:

@@ -22,6 +22,10 @@ from stringcast.stages.diagnose.experiment_design import (
 )
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import arm_faults
+from stringcast.stages.inference.discrepancy_grid import (
+    COURSE_COUNT,
+    DISCREPANCY_SCALES_M,
+)
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.model.box import Box
@@ -212,6 +216,22 @@ def test_rivals_stay_look_alikes_if_misfit_may_be_their_difference(
     log_odds, predicted = lacking.expected_log_odds(trial)
     assert log_odds[0, 1] == log_odds[1, 0] == 0.0
     assert predicted.keys() == {"arm_lag", "time_offset"}
+
+
+def test_a_motion_is_planned_with_the_time_course_that_was_found(rivals, monkeypatch):
+    """Frames before a late onset keep their weight, so that rivals differ more."""
+    monkeypatch.setattr(
+        experiment_design, "unexplained_tip_rms", lambda *given: np.zeros(2)
+    )
+    trial = rivals.data.subset([0])
+    scale_index = int(np.searchsorted(DISCREPANCY_SCALES_M, 0.01))
+    log_odds = []
+    for course in (COURSE_COUNT - 1, COURSE_COUNT - 2):
+        found = np.full(2, course * len(DISCREPANCY_SCALES_M) + scale_index)
+        fits = {n: replace(f, grid_points=found) for n, f in rivals.fits.items()}
+        log_odds.append(replace(rivals, fits=fits).expected_log_odds(trial)[0].min())
+    constant, begins_late = log_odds
+    assert begins_late > 2 * constant > 0
 
 
 def test_equal_effects_are_stated_to_be_inseparable(model, slow_trials):

@@ -10,7 +10,10 @@ from stringcast.stages.diagnose import document, summary
 from stringcast.stages.diagnose.document import verdict_sentences
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
-from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
+from stringcast.stages.inference.discrepancy_grid import (
+    COURSE_COUNT,
+    DISCREPANCY_SCALES_M,
+)
 from stringcast.stages.model.library import effects_by_name
 
 
@@ -43,6 +46,7 @@ def test_an_amplitude_at_an_end_of_its_range_is_not_a_finding(name, chi, is_insi
 
 PLACE = "most of it in trial b (100 %), largest at 0.20 s, 0.30 m along the string."
 LATE = 3 * len(DISCREPANCY_SCALES_M)  # a grid point that begins in the middle
+CONSTANT = (COURSE_COUNT - 1) * len(DISCREPANCY_SCALES_M)  # of constant size
 
 
 @pytest.mark.parametrize(
@@ -95,12 +99,28 @@ def test_the_stated_misfit_is_that_of_the_budget_if_it_is_certainly_positive(
     )
     found = document.unexplained_document(
         data,
-        SimpleNamespace(grid_points=[grid_point, grid_point]),
+        SimpleNamespace(grid_points=np.full(2, grid_point)),
         judgement,
         SimpleNamespace(unexplained_m=budget_m),
         SimpleNamespace(tip_tolerance_m=1e-3),
     )
     assert found["sentence"] == sentence
+
+
+@pytest.mark.parametrize(
+    ("grid_points", "sentence"),
+    [
+        ([0, 0], ""),
+        ([1, 0], "The unexplained misfit grows over the trial in 1 of 2 trials."),
+        (
+            [LATE + 1, CONSTANT + 1, CONSTANT + 2, 3],
+            "The unexplained misfit grows over the trial in 1 of 4 trials, begins "
+            "during the trial in 1 and has the same size at all times in 2.",
+        ),
+    ],
+)
+def test_the_time_course_of_the_misfit_is_stated(grid_points, sentence):
+    assert document._course_sentence(np.array(grid_points)) == sentence
 
 
 def test_look_alikes_have_readable_names():

@@ -152,6 +152,17 @@ def test_without_a_discrepancy_the_first_course_is_chosen():
     assert not discrepancy_grid.most_likely_grid_point(by_grid_point).any()
 
 
+def test_trials_without_a_discrepancy_have_no_say_in_its_typical_course():
+    scales = len(discrepancy_grid.DISCREPANCY_SCALES_M)
+    constant = discrepancy_grid.COURSE_COUNT - 1
+    later = np.array([0, 0, 0, 2 * scales + 4, constant * scales + 3])
+    typical = discrepancy_grid.typical_grid_point
+    assert typical(later[:3]) == 0
+    assert typical(later) == 2 * scales  # the median scale is zero
+    assert typical(np.array([*later, *later[4:], 7])) == constant * scales + 3
+    assert list(discrepancy_grid.count_courses(later)) == [0, 0, 1, 0, 0, 0, 1]
+
+
 @pytest.mark.parametrize(
     ("blocks", "quantile"), [(1, 12.7062), (2, 12.7062), (5, 2.7764)]
 )

@@ -209,6 +209,7 @@ def make_diagnosis(verdict, names=(), sentence="So it is.", **tables):
         "unexplained": {
             "fraction": 0.03,
             "where": "",
+            "course": tables.pop("course", ""),
             "sentence": tables.pop("left", ""),
         }
     }
@@ -472,6 +473,11 @@ def test_data_cannot_become_code(page_of):
     page = page_of(made, name=evil, settings={evil: evil})
     assert not [a for _, a in page.elements if "onerror" in a]
     assert page.text.count(evil) >= 6
+
+
+def test_the_time_course_of_the_misfit_is_shown(page_of):
+    course = "The unexplained misfit grows over the trial in 1 of 2 trials."
+    assert course in page_of(make_diagnosis("effect", ["tip_mass"], course=course)).text
 
 
 def test_error_budget_is_shown(page_of):

@@ -50,8 +50,9 @@ PROPOSAL_CAPTION = Markup(
 
 def unexplained_section(record: DiagnosisRecord) -> Section:
     """Show the unexplained misfit, the next experiment, and the extended model."""
-    sentence = record.document["unexplained"]["sentence"]
-    parts: list[Part] = [Text(sentence)] if sentence else []
+    unexplained = record.document["unexplained"]
+    texts = [unexplained[name] for name in ("sentence", "course")]
+    parts: list[Part] = [Text(text) for text in texts if text]
     parts.append(_unexplained_part(record))
     if proposal := record.document["next_experiment"]:
         proposed: list[Part] = [Text(proposal["sentence"], "")]
