@@ -1,57 +1,13 @@
-"""Stored runs: their settings, their experiment, and their steps in order."""
+"""Stored runs: their settings, their experiment, and their folders."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stringcast.data.file_checks import read_json
-from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
-from stringcast.pipeline.run.iterations import Iteration, Step
-from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import UserError
-
-
-class NotMadeError(Exception):
-    """A missing step; later steps cannot be read."""
-
-
-@dataclass(frozen=True)
-class StepReader:
-    """Executor that reads stored artifacts instead of making them."""
-
-    read_step: Callable[[Step], Any]
-
-    def obtain(self, step: Step) -> Any:
-        """Return the stored artifact of a step."""
-        return self.read_step(step)
-
-    def publish(self, iterations: list[Iteration]) -> None:
-        """Do nothing: a reader writes no dataset."""
-
-
-def walk_steps(
-    experiment: Experiment, folder: Path, read_step: Callable[[Step], Any]
-) -> RunResult | None:
-    """Read every step of a run in its order.
-
-    Returns
-    -------
-    RunResult or None
-        None if `read_step` raised NotMadeError.
-    """
-    if not isinstance(experiment.mode, Stepwise):
-        raise UserError(
-            f"{folder}: this run, of a study or a calibration, has no steps of its "
-            "own. Name that of a cast, an estimation or a diagnosis."
-        )
-    try:
-        return experiment.mode.run_steps(experiment, folder, StepReader(read_step))
-    except NotMadeError:
-        return None
 
 
 def read_stored_settings(folder: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,22 +14,21 @@ from stringcast.data import store
 from stringcast.data.compare import file_differences, folder_differences
 from stringcast.data.errors import escape_control_characters
 from stringcast.data.file_checks import read_json
+from stringcast.data.metadata import DATASET_FILE
 from stringcast.data.schema import DataError
 from stringcast.pipeline.cli.console import ProgressBar, progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import COST_OPTION, CommandParser, add_cost_option
-from stringcast.pipeline.commands.stored_runs import (
-    NotMadeError,
-    read_stored_experiment,
-    walk_steps,
-)
+from stringcast.pipeline.commands.stored_runs import read_stored_experiment
+from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.cost import ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
-from stringcast.pipeline.run.iterations import Step
+from stringcast.pipeline.run.iterations import Iteration, Step
 from stringcast.pipeline.run.provenance import arm_is_virtual, load_step_with_staleness
 from stringcast.pipeline.run.result import RunResult, run_summary
+from stringcast.pipeline.settings.composition import UserError
 
 UNREPEATABLE_NOTE = "measured with a real arm and camera, cannot be computed again"
 
@@ -46,39 +46,19 @@ def main(arguments: list[str]) -> int:
     console = Terminal(stderr=True)
     ask_about_cost(experiment, options.max_core_hours, console, COST_OPTION)
     with progress_bars(console) as bar, TemporaryDirectory() as scratch:
-        comparison = verify_run(experiment, folder, Path(scratch), bar)
-    for line in comparison.lines:
+        verification = verify_run(experiment, folder, Path(scratch), bar)
+    for line in verification.lines:
         print(escape_control_characters(line))
-    return 0 if comparison.is_same else 1
+    return 0 if verification.is_same else 1
+
+
+class NotMadeError(Exception):
+    """A missing step; later steps cannot be made again."""
 
 
 @dataclass
-class Comparison:
-    """Outcome of a verification.
-
-    Attributes
-    ----------
-    is_same
-        Whether every step exists and is equal.
-    lines
-        The outcome of each step.
-    """
-
-    is_same: bool = True
-    lines: list[str] = field(default_factory=list)
-
-    def note(self, name: str, faults: Sequence[str]) -> None:
-        """Note the outcome of one comparison."""
-        self.lines.append(f"{name}: {'DIFFERS' if faults else 'the same to the bit'}")
-        for fault in faults:
-            self.lines.append(f"    {fault}")
-            self.is_same = False
-
-
-def verify_run(
-    experiment: Experiment, folder: Path, scratch: Path, bar: ProgressBar
-) -> Comparison:
-    """Compute every step of a run again, and the files written from them.
+class Verification:
+    """An executor that makes each step again, and compares it with the stored one.
 
     Parameters
     ----------
@@ -90,77 +70,107 @@ def verify_run(
         An empty folder to compute in.
     bar : callable
         Makes the progress bar of a step by its name.
+    is_same : bool
+        Whether every step exists and is equal.
+    lines : list of str
+        The outcome of each comparison.
     """
-    comparison = Comparison()
 
-    def compare_step(step: Step) -> Any:
-        stored = load_step_with_staleness(experiment.config, folder, step)
+    experiment: Experiment
+    folder: Path
+    scratch: Path
+    bar: ProgressBar
+    is_same: bool = True
+    lines: list[str] = field(default_factory=list)
+
+    def obtain(self, step: Step) -> Any:
+        """Make a step again, and return the stored artifact for later steps.
+
+        Raises NotMadeError for a missing step.
+        """
+        experiment, step_folder = self.experiment, self.folder / step.folder
+        stored = load_step_with_staleness(experiment.config, self.folder, step)
         name = step.folder.as_posix()
         if stored.artifact is None:
-            comparison.note(name, stored.stale_reasons)
+            self.note(name, stored.stale_reasons)
             raise NotMadeError
         if step.stage.moves_arm and not arm_is_virtual(experiment.config):
-            comparison.lines.append(f"{name}: {UNREPEATABLE_NOTE}")
+            self.lines.append(f"{name}: {UNREPEATABLE_NOTE}")
             return stored.artifact
-        with bar(f"{step.number}. {step.stage.name}") as progress:
+        with self.bar(f"{step.number}. {step.stage.name}") as progress:
             artifact = experiment.run_step(step, progress)
-            store.save(artifact, scratch / step.folder, {})
-        step_folder = folder / step.folder
+            store.save(artifact, self.scratch / step.folder, {})
         not_kept = store.images_not_kept(step_folder)
-        faults = folder_differences(step_folder, scratch / step.folder, not_kept)
+        faults = folder_differences(step_folder, self.scratch / step.folder, not_kept)
         if faults:
             for reason in stored.stale_reasons:
                 faults.append(f"since it was made: {reason}")
-        comparison.note(name, faults)
+        self.note(name, faults)
         if not_kept:
-            comparison.lines.append(
-                "    its frames were not kept: digests are compared"
-            )
+            self.lines.append("    its frames were not kept: digests are compared")
             return replace(stored.artifact, images=artifact.images)
         return stored.artifact
 
-    result = walk_steps(experiment, folder, compare_step)
-    if result is not None:
-        compare_dataset(experiment, folder, scratch, result, comparison)
-        compare_summary(folder, result, comparison)
-    return comparison
+    def publish(self, iterations: list[Iteration]) -> None:
+        """Do nothing: the dataset is compared when all steps are."""
+
+    def note(self, name: str, faults: Sequence[str]) -> None:
+        """Note the outcome of one comparison."""
+        self.lines.append(f"{name}: {'DIFFERS' if faults else 'the same to the bit'}")
+        for fault in faults:
+            self.lines.append(f"    {fault}")
+            self.is_same = False
 
 
-def compare_dataset(
-    experiment: Experiment,
-    folder: Path,
-    scratch: Path,
-    result: RunResult,
-    comparison: Comparison,
-) -> None:
+def verify_run(
+    experiment: Experiment, folder: Path, scratch: Path, bar: ProgressBar
+) -> Verification:
+    """Compute every step of a run again, and the files written from them.
+
+    The arguments are those of `Verification`.
+    """
+    if not isinstance(experiment.mode, Stepwise):
+        raise UserError(
+            f"{folder}: this run, of a study or a calibration, has no steps of its "
+            "own. Name that of a cast, an estimation or a diagnosis."
+        )
+    verification = Verification(experiment, folder, scratch, bar)
+    with suppress(NotMadeError):
+        result = experiment.mode.run_steps(experiment, folder, verification)
+        compare_dataset(verification, result)
+        compare_summary(verification, result)
+    return verification
+
+
+def compare_dataset(verification: Verification, result: RunResult) -> None:
     """Compare the dataset of a run with the one made from its steps."""
+    experiment, folder = verification.experiment, verification.folder
     measured = []
     for iteration in result.iterations:
         if iteration.measurement_names:
             measured.append(iteration)
     if experiment.config["trials"] is not None or not measured:
         return
+    scratch = verification.scratch
     hashes = run_folder.trial_hashes(folder, measured)
     run_folder.publish_dataset(experiment, hashes, scratch, measured)
     faults = []
-    for path in (*sorted(scratch.glob("*.parquet")), scratch / "dataset.yaml"):
+    for path in (*sorted(scratch.glob("*.parquet")), scratch / DATASET_FILE):
         for difference in file_differences(folder / path.name, path):
             faults.append(f"{path.name}: {difference}")
-    comparison.note("the run as a dataset", faults)
+    verification.note("the run as a dataset", faults)
 
 
-def compare_summary(folder: Path, result: RunResult, comparison: Comparison) -> None:
+def compare_summary(verification: Verification, result: RunResult) -> None:
     """Compare run.json with the summary of the steps."""
-    path = folder / SUMMARY_FILE
+    path = verification.folder / SUMMARY_FILE
     faults = []
     if not path.is_file():
         faults.append("it is missing: the run has not ended; `resume` continues it")
     else:
         try:
-            stored = read_json(path)
+            if read_json(path) != json.loads(json.dumps(run_summary(result))):
+                faults.append("it differs from the summary of the steps")
         except DataError as error:
-            comparison.note(SUMMARY_FILE, [str(error)])
-            return
-        if stored != json.loads(json.dumps(run_summary(result))):
-            faults.append("it differs from the summary of the steps")
-    comparison.note(SUMMARY_FILE, faults)
+            faults.append(str(error))
+    verification.note(SUMMARY_FILE, faults)

@@ -158,7 +158,7 @@ class Iteration:
 class Executor(Protocol):
     """Source of the artifacts of steps.
 
-    A run makes and stores them, `verify` recomputes them, `why` compares them.
+    A run makes and stores them, `verify` makes them again and compares.
     """
 
     def obtain(self, step: Step) -> Any:

@@ -18,7 +18,6 @@ from stringcast.data.compare import file_differences
 from stringcast.pipeline import __main__ as shell
 from stringcast.pipeline import commands
 from stringcast.pipeline.commands.index import RUNS_TABLE, list_runs
-from stringcast.pipeline.commands.stored_runs import walk_steps
 from stringcast.pipeline.commands.verify import verify_run
 from stringcast.pipeline.modes import Batch, Calibrate
 from stringcast.pipeline.run import provenance
@@ -434,15 +433,14 @@ def test_duckdb_examples_of_the_page_run(finished, tmp_path, monkeypatch, capsys
         assert len(duckdb.sql(query).df()), query
 
 
-@pytest.mark.parametrize("mode", [Calibrate()])
-def test_calibration_has_no_steps_to_walk(mode, tmp_path):
+def test_calibration_has_no_steps_to_verify(tmp_path):
     """Its setting `trials` is not read as a dataset."""
-    study = toy_experiment(mode=mode, trials=str(tmp_path))
+    study = toy_experiment(mode=Calibrate(), trials=str(tmp_path))
     with pytest.raises(
         UserError,
         match="this run, of a study or a calibration, has no steps of its own",
     ):
-        walk_steps(study, tmp_path, lambda step: None)
+        verify(tmp_path, tmp_path, study)
 
 
 def test_input_hashes_search_run_and_working_folder(tmp_path, monkeypatch):
