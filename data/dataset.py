@@ -85,6 +85,12 @@ class Dataset:
         """Reasons why trials cannot be used, by name."""
         return {name: fault.reason for name, fault in self.unusable.items()}
 
+    @property
+    def held_out(self) -> tuple[str, ...]:
+        """Names of the trials that are used only to measure the gain."""
+        blocks = self.metadata.get("trials", {}).items()
+        return tuple(name for name, block in blocks if block.get("role") == "held_out")
+
     def require_trial(self, place: str) -> None:
         """Raise DataError if no trial can be used; its message begins with `place`."""
         if not self.trials:

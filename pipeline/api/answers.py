@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -15,25 +13,19 @@ import yaml
 from matplotlib.figure import Figure
 from threadpoolctl import threadpool_limits
 
-from stringcast.data import dataset
+from stringcast.data.dataset import Dataset
 from stringcast.data.diagnoses import Diagnosis
 from stringcast.data.estimates import Estimate
 from stringcast.data.store import write_text
 from stringcast.figures import diagnosis_figure, parameter_figure
 from stringcast.known import KnownString, experiment_for_call
 from stringcast.measured import Trials
-from stringcast.pipeline.cli.console import progress_bars
-from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.modes.stored_trials import (
-    held_out_trials,
-    refuse_unlike_clocks,
-)
+from stringcast.pipeline.cli.console import progress_bar
+from stringcast.pipeline.modes.stored_trials import check_trials, refuse_unlike_clocks
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.report import page_provenance
 from stringcast.pipeline.run.stopping import stop_stage_on_interrupt
-from stringcast.stages.check.check import refuse_errors
-from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.common import MM_PER_M, Progress
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.report.pages.diagnosis import diagnosis_page
 from stringcast.stages.report.records import StageRecord
 from stringcast.stages.workers import use_workers
@@ -257,7 +249,7 @@ def diagnose(trials: Trials, *settings: str) -> DiagnosisResult:
             experiment.model,
             observations,
             data.rejection_reasons,
-            held_out_trials(data),
+            data.held_out,
             experiment.obstacles,
             seed=experiment.seed,
             progress=progress,
@@ -296,8 +288,7 @@ def estimate(
     if any(word.startswith("estimate=") for word in settings):
         words = ("+experiment=estimate", *settings)
     experiment, data = prepare_trials(trials, words, string)
-    held_out = held_out_trials(data)
-    used = [trial for name, trial in data.trials.items() if name not in held_out]
+    used = [trial for name, trial in data.trials.items() if name not in data.held_out]
     with progress_bar("estimate") as progress:
         artifact = experiment.stages["estimate"](
             experiment.model,
@@ -312,7 +303,7 @@ def estimate(
 
 def prepare_trials(
     trials: Trials, settings: tuple[str, ...], string: KnownString | None = None
-) -> tuple[Experiment, dataset.Dataset]:
+) -> tuple[Experiment, Dataset]:
     """Compose the experiment, and drop points beyond its string.
 
     Raises
@@ -321,15 +312,4 @@ def prepare_trials(
         If the data are clearly wrong.
     """
     experiment = experiment_for_call(settings, string, trials=str(trials.folder))
-    length = experiment.string.length
-    refuse_errors(
-        CheckedDataset(trials.data, experiment.arm, experiment.camera, length)
-    )
-    return experiment, dataset.exclude_stray_points(trials.data, length)
-
-
-@contextmanager
-def progress_bar(name: str) -> Iterator[Progress]:
-    """Show the progress bar of a run."""
-    with progress_bars(Terminal(stderr=True)) as bar, bar(name) as progress:
-        yield progress
+    return experiment, check_trials(experiment, trials.data)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from stringcast.answers import progress_bar
 from stringcast.data.artifacts import JOINTS, Motion
 from stringcast.data.schema import DataError
 from stringcast.known import KnownString, experiment_for_call, model_for_call
+from stringcast.pipeline.cli.console import progress_bar
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.cost import LIMIT, ask_about_cost
 from stringcast.pipeline.run.result import RunResult

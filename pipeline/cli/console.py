@@ -63,6 +63,15 @@ def progress_bars(console: Terminal) -> Iterator[ProgressBar]:
         yield show_bar
 
 
+@contextmanager
+def progress_bar(
+    name: str, console: Terminal | None = None
+) -> Iterator[ReportProgress]:
+    """Show a single bar, by default on the standard error stream."""
+    with progress_bars(console or Terminal(stderr=True)) as bar, bar(name) as progress:
+        yield progress
+
+
 def print_summary(result: RunResult, console: Terminal) -> None:
     """Print the outcome of a run, faults of its casts, and the path of its page."""
     if result.stage is None:

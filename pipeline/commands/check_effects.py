@@ -13,9 +13,8 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
-from stringcast.pipeline.cli.console import progress_bars
-from stringcast.pipeline.cli.terminal import Terminal
-from stringcast.pipeline.modes.stored_trials import held_out_trials, read_usable_trials
+from stringcast.pipeline.cli.console import progress_bar
+from stringcast.pipeline.modes.stored_trials import read_usable_trials
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
@@ -57,7 +56,7 @@ def detectable_effects(
     criteria = build_dataclass(
         Criteria, options["criteria"], "diagnose.criteria", "conf/diagnose"
     )
-    with progress_bars(Terminal(stderr=True)) as bar, bar("effects") as progress:
+    with progress_bar("effects") as progress:
         prepared = prepare_data(
             experiment.model,
             trials,
@@ -94,10 +93,9 @@ def search_trials(experiment: Experiment) -> list[Observation]:
     Raises DataError for fewer than two.
     """
     data = read_usable_trials(experiment)
-    held_out = held_out_trials(data)
     given = []
     for name, trial in data.trials.items():
-        if name not in held_out:
+        if name not in data.held_out:
             given.append(trim_at_contact(trial, experiment.obstacles))
     trials, _ = usable_trials(experiment.model, given)
     if len(trials) < 2:

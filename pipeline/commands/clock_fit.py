@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stringcast.pipeline.cli.console import progress_bars
-from stringcast.pipeline.cli.terminal import Terminal
+from stringcast.pipeline.cli.console import progress_bar
 from stringcast.pipeline.commands.dataset_import import ImportedDataset
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.model_settings import build_string
@@ -38,7 +37,7 @@ def estimate_offset(checked: CheckedDataset) -> ClockOffset:
     model = plain_model(checked)
     observations = [trial.observation for trial in checked.with_points()]
     rng = np.random.default_rng(SEED)
-    with progress_bars(Terminal(stderr=True)) as bar, bar("clocks") as progress:
+    with progress_bar("clocks") as progress:
         return estimate_clock_offset(model, observations, rng, progress)
 
 
@@ -56,7 +55,7 @@ def wrong_clock_findings(checked: CheckedDataset) -> list[Finding]:
     """
     observations = [trial.observation for trial in checked.informative_trials()]
     rng = np.random.default_rng(SEED)
-    with progress_bars(Terminal(stderr=True)) as bar, bar("clocks") as progress:
+    with progress_bar("clocks") as progress:
         clock = find_wrong_clock(plain_model(checked), observations, rng, progress)
     if clock is None:
         return []

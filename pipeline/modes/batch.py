@@ -18,7 +18,6 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
-    held_out_trials,
     history_of_dataset,
     read_trial,
     read_usable_trials,
@@ -122,7 +121,7 @@ class Batch(Stepwise):
             observations,
             data.films,
             data.rejection_reasons,
-            held_out_trials(data),
+            data.held_out,
             tuple(range(1, len(history.iterations) + 1)),
         )
         return history, trials

@@ -13,7 +13,7 @@ from rich.text import Text
 from stringcast.data import store
 from stringcast.data.calibration import Calibration
 from stringcast.hardware.camera import Source
-from stringcast.pipeline.cli.console import progress_bars, text_table
+from stringcast.pipeline.cli.console import progress_bar, text_table
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.modes.stepwise import refuse_trials
 from stringcast.pipeline.run.experiment import Experiment, Mode
@@ -53,7 +53,7 @@ class Calibrate(Mode):
         board = build_dataclass(Board, config["board"], "board", "conf/board")
         tilted = take_pictures(experiment, "source", TILT_REQUEST, console)
         flat = take_pictures(experiment, "plane", HOLD_REQUEST, console)
-        with progress_bars(console) as bar, bar("calibrate") as progress:
+        with progress_bar("calibrate", console) as progress:
             step = Step(stage, 1, {"tilted": tilted, "flat": flat, "board": board})
             calibration: Calibration = experiment.run_step(step, progress)
             summary = stage.summary(calibration)

@@ -14,7 +14,6 @@ from stringcast.pipeline.modes.cast import log_estimation
 from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
-    held_out_trials,
     history_of_dataset,
     read_trial,
     read_usable_trials,
@@ -65,8 +64,7 @@ class EstimateTrials(Stepwise):
     ) -> RunResult:
         """Estimate from the trials, then predict the held-out ones."""
         data = read_usable_trials(experiment)
-        held_out = held_out_trials(data)
-        fitted = [name for name in data.trials if name not in held_out]
+        fitted = [name for name in data.trials if name not in data.held_out]
         if not fitted:
             raise DataError(
                 f"trials={data.folder}: dataset.yaml holds out every trial. "

@@ -32,12 +32,17 @@ STORED_ARTIFACTS = {STORED_FILM: Film, STORED_POINTS: Points}
 
 def read_usable_trials(experiment: Experiment) -> dataset.Dataset:
     """Read the stored trials that fit the string, or raise DataError if none does."""
-    trials, length = experiment.config["trials"], experiment.string.length
-    stored = dataset.read_dataset(Path(trials))
-    refuse_errors(CheckedDataset(stored, experiment.arm, experiment.camera, length))
-    data = dataset.exclude_stray_points(stored, length)
+    trials = experiment.config["trials"]
+    data = check_trials(experiment, dataset.read_dataset(Path(trials)))
     data.require_trial(f"trials={trials}")
     return data
+
+
+def check_trials(experiment: Experiment, stored: dataset.Dataset) -> dataset.Dataset:
+    """Drop points beyond the string; raise DataError if the data are clearly wrong."""
+    length = experiment.string.length
+    refuse_errors(CheckedDataset(stored, experiment.arm, experiment.camera, length))
+    return dataset.exclude_stray_points(stored, length)
 
 
 def refuse_unlike_clocks(
@@ -74,14 +79,6 @@ def describe_own_clocks(
 def _clocks_are_known(experiment: Experiment, folder: Path) -> bool:
     """Return whether trials come from a run, or their clocks are in the model."""
     return is_run_folder(folder) or TimeOffset in experiment.model.effects
-
-
-def held_out_trials(data: dataset.Dataset) -> tuple[str, ...]:
-    """Return the names of held-out trials."""
-    blocks = data.metadata.get("trials", {})
-    return tuple(
-        name for name, block in blocks.items() if block.get("role") == "held_out"
-    )
 
 
 def history_of_dataset(

@@ -19,7 +19,7 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
 from rich.text import Text
 
-from stringcast.pipeline.cli.console import progress_bars
+from stringcast.pipeline.cli.console import progress_bar
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.typed_settings import bind_stage, load_callable
@@ -126,7 +126,7 @@ class LedgerLauncher:
 
         console = Terminal(stderr=True)
         start, ended = time.monotonic(), len(keys) - len(attempts)
-        with progress_bars(console) as bar, bar("sweep") as progress:
+        with progress_bar("sweep", console) as progress:
             for batch in filter(None, (attempts[:warm_up], attempts[warm_up:])):
                 for key in self.launch_all(batch):
                     ended += 1

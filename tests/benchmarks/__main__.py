@@ -15,7 +15,7 @@ from pathlib import Path
 from hydra.errors import HydraException
 
 from stringcast.data.errors import ExpectedError
-from stringcast.pipeline.cli.console import progress_bars
+from stringcast.pipeline.cli.console import progress_bar
 from stringcast.pipeline.cli.terminal import Terminal
 from tests.benchmarks.study import Study, run_study, study_settings
 
@@ -65,7 +65,7 @@ def run(name: str, overrides: list[str]) -> None:
     study: Study = getattr(import_module(f"tests.benchmarks.{module}"), kind)()
     config = study_settings(name, overrides)
     console = Terminal(stderr=True)
-    with progress_bars(console) as bar, bar(name) as progress:
+    with progress_bar(name, console) as progress:
         summary = run_study(study, config, Path(config["folder"]), progress)
     console.print(summary, soft_wrap=True, markup=False)
     console.print(config["folder"], soft_wrap=True, markup=False)
