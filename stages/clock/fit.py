@@ -257,20 +257,25 @@ def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
     return _better_fit(clock, replace(clock, fit=other))
 
 
-def refit_from_string(clock: ClockFit, other: ClockFit, offset: float) -> ClockFit:
-    """Refit from another fit's string and an offset [s]; return the better fit.
+def refit_with_one_offset(
+    common: ClockFit, separate: ClockFit, offset: float
+) -> ClockFit:
+    """Refit one offset to trials under the noise of a fit with separate offsets.
 
-    The growth of errors within trials is computed again, as it depends on the string.
+    So the evidence of both can be compared. The better of two fits is returned: one
+    starts from the common fit, one from the other string and an offset [s].
     """
-    hypothesis = clock.fit.hypothesis
-    parameter = hypothesis.model.parameters[clock.index]
-    exponents = {
-        **other.fit.exponents,
-        OFFSET: float(parameter.chi(np.asarray(offset))),
-    }
-    start = hypothesis.exponents_from(exponents)
-    trials = [replace(trial, growth=np.zeros(0)) for trial in clock.data.trials]
-    return _better_fit(clock, _fit_with_discrepancy(trials, hypothesis, start))
+    trials = []
+    for own, shifted in zip(common.data.trials, separate.data.trials, strict=True):
+        trials.append(shifted.shift_times(own.times[0] - shifted.times[0]))
+    data = replace(separate.data, trials=tuple(trials))
+    hypothesis = common.fit.hypothesis
+    fits = []
+    for values in (common.fit.values, {**separate.fit.values, OFFSET: offset}):
+        start = hypothesis.model.exponents_of_values(values)
+        grid_points = separate.fit.grid_points
+        fits.append(fit_hypothesis(data, hypothesis, start[None], grid_points))
+    return _better_fit(*[ClockFit(data, fit) for fit in fits])
 
 
 def shift_observations(

@@ -30,7 +30,7 @@ from stringcast.stages.clock.fit import (
     fit_drift,
     profile_offset,
     refit_from,
-    refit_from_string,
+    refit_with_one_offset,
     shift_observations,
 )
 from stringcast.stages.clock.posterior import clock_posterior, time_slopes
@@ -208,7 +208,7 @@ def fit_clock_offset(
     # The search with one offset may have missed the string found with several
     offsets = [interval.value for interval in separate.clock.by_trial.values()]
     middle = float(np.median(offsets)) - window.middle
-    common_fit = refit_from_string(common_fit, joint_fit, middle)
+    common_fit = refit_with_one_offset(common_fit, joint_fit, middle)
     if explains_more(joint_fit, common_fit):
         return separate
     profile = profile_offset(common_fit, window.half_width + EDGE_S)

@@ -163,6 +163,17 @@ class PreparedTrial:
         length = self.model.string.segment_length
         return content_digest([*start, self.times, self.frame, self.s, length])
 
+    def shift_times(self, seconds: float) -> PreparedTrial:
+        """Add an offset to the camera's times [s]."""
+        times = self.times + seconds
+        state = self.initial_state
+        return replace(
+            self,
+            times=times,
+            motion=self.motion.extended_until(float(times[-1])),
+            initial_state=state and replace(state, t=state.t + seconds),
+        )
+
     def cut_after(self, last: float) -> PreparedTrial:
         """Cut the trial after a time [s]."""
         return self.first_frames(int(np.searchsorted(self.times, last + 1e-9)))

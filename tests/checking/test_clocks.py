@@ -23,7 +23,7 @@ from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
 from stringcast.stages.clock import offset, trial_clocks
-from stringcast.stages.clock.fit import model_up_to_strips
+from stringcast.stages.clock.fit import model_up_to_strips, model_with_offset
 from stringcast.stages.clock.offset import (
     ClockOffset,
     FittedOffset,
@@ -45,6 +45,7 @@ from stringcast.stages.clock.windows import (
     possible_windows,
 )
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
 
 SAMPLE = ROOT / "data" / "sample"
@@ -272,6 +273,42 @@ def test_more_clock_parameters_need_evidence_and_half_of_the_misfit(
     simpler = clock_with(np.zeros(len(gains)), np.full(len(gains), 0.1))
     fuller = clock_with(gains, left_m)
     assert clock_fit.explains_more(fuller, simpler) == is_believed
+
+
+@pytest.mark.parametrize("starts_moving", [False, True])
+def test_shifted_times_are_an_offset_of_the_clocks(starts_moving):
+    model = model_with_offset(plain_model(CHECKED), 0.02)
+    observation = replace(TRIALS[0].observation, starts_moving=starts_moving)
+    trial = prepare_trial(model, observation)
+    fits = {}
+    for offset_s in (0.0, 0.008):
+        values = model.values({clock_fit.OFFSET: offset_s})
+        chi = model.exponents_of_values(dict(zip(model.names, values, strict=True)))
+        for shift_s in (0.0, 0.008):
+            data = TrialData((trial.shift_times(shift_s),))
+            fits[offset_s, shift_s] = data.residuals(model, chi[None])[0]
+    shifted = fits[0.0, 0.008] - fits[0.0, 0.0]
+    assert np.abs(shifted).max() > 10
+    # a motion is interpolated between ticks of 5 ms
+    assert fits[0.0, 0.008] == pytest.approx(fits[0.008, 0.0], abs=0.1)
+
+
+def test_one_offset_is_compared_under_the_noise_of_separate_ones():
+    """If the separate offsets are equal, one offset has the same evidence."""
+    seen = [late(TRIALS[k], 0.0, tip_alone=False).observation for k in (0, 1)]
+    model = plain_model(CHECKED)
+    rng = np.random.default_rng(0)
+    separate = clock_fit.fit_clock(model, seen, 0.02, rng, lambda share: None)
+    # a poorer fit, whose times differ by the same in all trials
+    noisy = []
+    for trial in separate.data.trials:
+        noisy.append(replace(trial.shift_times(0.003), sigma=3 * trial.sigma))
+    common = replace(separate, data=TrialData(tuple(noisy)))
+    refitted = clock_fit.refit_with_one_offset(common, separate, 0.0)
+    assert refitted.offset == pytest.approx(separate.offset - 0.003, abs=2e-4)
+    # with three times the noise, it would differ by hundreds
+    evidence = refitted.fit.log_evidence
+    assert evidence == pytest.approx(separate.fit.log_evidence, abs=10.0)
 
 
 def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
