@@ -77,8 +77,8 @@ def profile_reaches(
         if not going:
             break
         starts = np.array([profile.start for profile in going])
-        held = np.arange(len(chi)) == [[profile.index] for profile in going]
-        runs = fit_least_squares(problem, starts, FIT_ITERATIONS, held=held)
+        is_fixed = np.arange(len(chi)) == [[profile.index] for profile in going]
+        runs = fit_least_squares(problem, starts, FIT_ITERATIONS, is_fixed=is_fixed)
         falls = _log_likelihood_falls(problem, runs.residual, best_loss)
         for profile, chi_now, fall_now in zip(going, runs.chi, falls, strict=True):
             profile.advance(chi_now, fall_now)

@@ -103,7 +103,7 @@ class SolverRuns:
     ----------
     chi
         Exponents, (R, P).
-    held
+    is_fixed
         Whether an exponent is kept fixed, (R, P).
     residual
         White residuals, (R, N).
@@ -128,7 +128,7 @@ class SolverRuns:
     """
 
     chi: np.ndarray
-    held: np.ndarray
+    is_fixed: np.ndarray
     residual: np.ndarray
     loss: np.ndarray
     width: np.ndarray
@@ -143,14 +143,16 @@ class SolverRuns:
 
     @classmethod
     def start(
-        cls, problem: Problem, chi: np.ndarray, held: np.ndarray | None = None
+        cls, problem: Problem, chi: np.ndarray, is_fixed: np.ndarray | None = None
     ) -> SolverRuns:
         """Start runs at exponents (R, P); by default none is fixed."""
         count, size = chi.shape
         residual = problem.residuals(chi)
+        if is_fixed is None:
+            is_fixed = np.zeros(chi.shape, dtype=bool)
         return cls(
             chi=chi.copy(),
-            held=np.zeros(chi.shape, dtype=bool) if held is None else held,
+            is_fixed=is_fixed,
             residual=residual,
             loss=huber_loss(residual, problem.limit),
             width=np.full(chi.shape, FIRST_DIFFERENCE),
@@ -199,7 +201,7 @@ def fit_least_squares(
     max_iterations: int = MAX_ITERATIONS,
     min_gain: float = MIN_GAIN,
     max_gains_behind: float = np.inf,
-    held: np.ndarray | None = None,
+    is_fixed: np.ndarray | None = None,
 ) -> SolverRuns:
     """Minimise the loss from several starts in parallel.
 
@@ -212,10 +214,10 @@ def fit_least_squares(
     max_gains_behind
         A run stops if it is further behind the best than this multiple of the gain that
         its slopes predict.
-    held
+    is_fixed
         Whether an exponent is kept fixed, (R, P).
     """
-    runs = SolverRuns.start(problem, starts, held)
+    runs = SolverRuns.start(problem, starts, is_fixed)
     for _ in range(max_iterations):
         if not runs.active.any():
             break
@@ -325,7 +327,7 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
     for run in chosen:  # normal and gradient are those of half the loss
-        free = ~runs.held[run]
+        free = ~runs.is_fixed[run]
         normal = runs.normal[run][np.ix_(free, free)]
         gain = predicted_gain(normal, runs.gradient[run, free], runs.chi[run, free])
         runs.predicted_share[run] = 2 * gain / max(runs.loss[run], SMALLEST_FLOAT)
@@ -356,55 +358,89 @@ def _step_runs(
 ) -> None:
     """Move each active run to the best of its trial steps, if that improves it."""
     points = np.stack([_trial_points(problem.parameters, runs, run) for run in active])
-    residuals = np.zeros((*points.shape[:2], runs.residual.shape[1]))
-    losses = np.full(points.shape[:2], np.inf)
-
-    # First the least damped steps, then the others where these gain too little
     predicted_share = runs.predicted_share[active]
     sufficient = runs.loss[active] * (1 - SUFFICIENT_SHARE * predicted_share)
+    residuals = np.zeros((*points.shape[:2], runs.residual.shape[1]))  # (A, T, N)
+    losses = _try_steps(problem, points, sufficient, residuals)  # (A, T)
+    for number, run in enumerate(active):
+        best = int(np.argmin(losses[number]))
+        loss = losses[number, best]
+        if loss < runs.loss[run]:
+            factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
+            runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
+            chi = points[number, best]
+            _accept_step(runs, run, chi, residuals[number, best], loss, min_gain)
+        else:
+            _reject_steps(runs, run, min_gain)
+
+
+def _try_steps(
+    problem: Problem,
+    points: np.ndarray,
+    sufficient: np.ndarray,
+    residuals: np.ndarray,
+) -> np.ndarray:
+    """Compute the losses of trial steps (A, T, P), (A, T), and fill in their residuals.
+
+    The least damped steps of a run come first. The others are tried where none of these
+    reaches a sufficient loss (A,); else their loss is infinite. If all steps take no
+    longer than one, they are one batch.
+
+    residuals: (A, T, N).
+    """
+    losses = np.full(points.shape[:2], np.inf)
     is_least_damped = np.arange(points.shape[1]) % len(DAMPING_FACTORS) == 0
     batches = [is_least_damped, ~is_least_damped]
-    if losses.size <= problem.candidates_at_once:  # all take no longer than one
+    if losses.size <= problem.candidates_at_once:
         batches = [np.ones_like(is_least_damped)]
-    for chosen in batches:
+    for is_tried in batches:
         unsettled = np.flatnonzero(losses.min(axis=1) > sufficient)
         if not unsettled.size:
             break
-        tried = np.ix_(unsettled, np.flatnonzero(chosen))
+        tried = np.ix_(unsettled, np.flatnonzero(is_tried))
         simulated = problem.residuals(points[tried].reshape(-1, points.shape[-1]))
-        residuals[tried] = simulated.reshape(len(unsettled), chosen.sum(), -1)
+        residuals[tried] = simulated.reshape(len(unsettled), is_tried.sum(), -1)
         losses[tried] = huber_loss(residuals[tried], problem.limit)
+    return losses
 
-    for number, run in enumerate(active):
-        best = int(np.argmin(losses[number]))
-        lowest = losses[number, best]
-        if lowest < runs.loss[run]:
-            # keeps the gain finite if the loss is zero
-            least = max(lowest, LEAST_LOSS_RATIO * runs.loss[run])
-            gain = 0.5 * residuals.shape[-1] * np.log(runs.loss[run] / least)
-            factor = DAMPING_FACTORS[best % len(DAMPING_FACTORS)]
-            runs.chi[run] = points[number, best]
-            runs.residual[run] = residuals[number, best]
-            runs.loss[run] = lowest
-            runs.damping[run] = max(runs.damping[run] * factor, MIN_DAMPING)
-            runs.stale[run] = True
-            runs.is_narrow[run] = False
-            is_slow = gain <= min_gain
-            if is_slow:
-                may_gain = runs.predicted_gains[run] > min_gain
-                runs.active[run] = may_gain and not runs.is_slow[run]
-            runs.is_slow[run] = is_slow
-        elif runs.predicted_gains[run] <= min_gain:
-            runs.active[run] = False
-        elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
-            runs.damping[run] *= DAMPING_INCREASE
-        else:
-            # No step gains anything: narrower differences may give better slopes
-            runs.active[run] = not runs.is_narrow[run]
-            runs.is_narrow[run] = True
-            runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
-            runs.damping[run] = INITIAL_DAMPING
-            runs.stale[run] = True
+
+def _accept_step(
+    runs: SolverRuns,
+    run: int,
+    chi: np.ndarray,
+    residual: np.ndarray,
+    loss: float,
+    min_gain: float,
+) -> None:
+    """Move a run to exponents (P,) with a lower loss; end it after two slow steps."""
+    # Keeps the gain finite if the loss is zero
+    least = max(loss, LEAST_LOSS_RATIO * runs.loss[run])
+    gain = 0.5 * len(residual) * np.log(runs.loss[run] / least)
+    is_slow = gain <= min_gain
+    if is_slow:
+        may_gain = runs.predicted_gains[run] > min_gain
+        runs.active[run] = may_gain and not runs.is_slow[run]
+    runs.is_slow[run] = is_slow
+    runs.is_narrow[run] = False
+    runs.chi[run] = chi
+    runs.residual[run] = residual
+    runs.loss[run] = loss
+    runs.stale[run] = True
+
+
+def _reject_steps(runs: SolverRuns, run: int, min_gain: float) -> None:
+    """Damp the next steps of a run more, narrow its differences, or end it."""
+    if runs.predicted_gains[run] <= min_gain:
+        runs.active[run] = False
+    elif runs.damping[run] * DAMPING_INCREASE < MAX_DAMPING:
+        runs.damping[run] *= DAMPING_INCREASE
+    else:
+        # No step gains anything: narrower differences may give better slopes
+        runs.active[run] = not runs.is_narrow[run]
+        runs.is_narrow[run] = True
+        runs.width[run] = np.maximum(0.1 * runs.width[run], MIN_DIFFERENCE)
+        runs.damping[run] = INITIAL_DAMPING
+        runs.stale[run] = True
 
 
 def _trial_points(
@@ -422,7 +458,7 @@ def _trial_points(
     diagonal = np.diag(normal)
     flat = FLAT_CURVATURE_SHARE * diagonal.mean() + SMALLEST_FLOAT
 
-    free = ~runs.held[run]
+    free = ~runs.is_fixed[run]
     low = np.maximum(chi - MAX_EXPONENT_STEP * free, 0.0) - chi
     high = np.minimum(chi + MAX_EXPONENT_STEP * free, 1.0) - chi
 

@@ -345,7 +345,7 @@ def test_trial_steps_are_damped_in_exponents_and_values_and_stay_within_bounds(
     """One parameter from 0.01 to 1, with a curvature of 4."""
     runs = SimpleNamespace(
         chi=np.array([[chi]]),
-        held=np.array([[False]]),
+        is_fixed=np.array([[False]]),
         normal=np.array([[[4.0]]]),
         gradient=np.array([[gradient]]),
         damping=np.array([0.5]),
@@ -375,7 +375,7 @@ def test_trial_steps_are_limited_by_bounds_and_longest_steps(monkeypatch):
     monkeypatch.setattr(solver, "minimise_in_box", record)
     runs = SimpleNamespace(
         chi=np.array([[0.1, 0.9, 0.5]]),
-        held=np.array([[False, False, True]]),
+        is_fixed=np.array([[False, False, True]]),
         normal=np.eye(3)[None],
         gradient=np.zeros((1, 3)),
         damping=np.ones(1),

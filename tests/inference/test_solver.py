@@ -265,13 +265,13 @@ def test_a_run_stops_if_no_step_gains_and_the_predicted_gain_is_small():
     assert len(eager.batches) > 8
 
 
-def test_held_exponents_do_not_move():
-    """Held parameters are constant, and the others are optimal given them."""
+def test_fixed_exponents_do_not_move():
+    """Fixed parameters are constant, and the others are optimal given them."""
     problem = Decay()
     start = np.array([[0.6, 0.3], [0.7, 0.5]])
-    held = np.array([[True, False], [False, True]])
-    runs = fit_least_squares(problem, start, held=held)
-    assert (runs.chi[held] == start[held]).all()
+    is_fixed = np.array([[True, False], [False, True]])
+    runs = fit_least_squares(problem, start, is_fixed=is_fixed)
+    assert (runs.chi[is_fixed] == start[is_fixed]).all()
     free = fit_least_squares(problem, start)
     assert (runs.loss > free.loss).all()
     assert (runs.loss < 1e-3 * np.mean(problem.residuals(start) ** 2, axis=1)).all()
