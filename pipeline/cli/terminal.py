@@ -18,6 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 from rich.console import Console
 from rich.markup import escape
 from rich.segment import Segment
+from rich.text import Text
 
 from stringcast.data.errors import escape_control_characters
 from stringcast.pipeline.settings.composition import (
@@ -40,7 +41,7 @@ class Terminal(Console):
 
     def print_line(self, text: str) -> None:
         """Print plain text without wrapping, so that it can be pasted."""
-        self.print(text, soft_wrap=True, markup=False, highlight=False)
+        self.print(Text(escape_control_characters(text)), soft_wrap=True)
 
 
 def program_name() -> str:

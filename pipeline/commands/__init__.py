@@ -10,7 +10,7 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import NoReturn
 
-from stringcast.data.errors import escape_control_characters
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.settings.composition import UserError, compose_settings
 
 COMMAND_NAMES = (
@@ -83,4 +83,4 @@ def module_name_of(name: str) -> str:
 
 def print_block(heading: str, lines: Sequence[str]) -> None:
     """Print indented lines under a heading."""
-    print(escape_control_characters("\n    ".join([heading, *lines])))
+    Terminal().print_line("\n    ".join([heading, *lines]))

@@ -12,11 +12,11 @@ import pandas as pd
 
 from stringcast.answers import prepare_trials
 from stringcast.data.artifacts import COMMANDS, JOINTS
-from stringcast.data.errors import escape_control_characters
 from stringcast.data.estimates import Estimate
 from stringcast.data.store import read_table, write_text
 from stringcast.known import KnownString, experiment_for_call
 from stringcast.measured import read
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.stored_runs import read_stored_settings
 from stringcast.pipeline.settings.composition import UserError
@@ -65,7 +65,7 @@ def main(arguments: list[str]) -> int:
         )
     file.parent.mkdir(parents=True, exist_ok=True)
     WRITERS[file.suffix](options)
-    print(escape_control_characters(str(file)))
+    Terminal().print_line(str(file))
     return 0
 
 
@@ -92,10 +92,10 @@ def write_mjcf(options: argparse.Namespace) -> None:
     write_text(options.file, build_mjcf(model, values, mass, step))
     player = options.file.with_name("play.py")
     write_text(player, PLAYER_TEXT.format(file=options.file.name))
-    print(escape_control_characters(f"{player} shows it"))
+    Terminal().print_line(f"{player} shows it")
     if options.check:
         for line in compare_with_trials(options.run, string, mass, step):
-            print(escape_control_characters(line))
+            Terminal().print_line(line)
 
 
 def compare_with_trials(
@@ -146,8 +146,25 @@ def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedT
 
 
 def write_parameters(options: argparse.Namespace) -> None:
-    """Write the parameters as CSV."""
-    write_text(options.file, parameter_table(KnownString.from_run(options.run)))
+    """Write CSV with a row for each parameter and its 95 % interval, if known.
+
+    The paper's parameters are per mass point, at `string.reference_points` points.
+    """
+    model = experiment_for_call((), KnownString.from_run(options.run)).model
+    rows = []
+    for parameter in model.parameters:
+        low, high = model.measured_ranges.get(parameter.name, (None, None))
+        row = {
+            "name": parameter.name,
+            "symbol": parameter.symbol,
+            "value": parameter.start,
+            "low": low,
+            "high": high,
+            "unit": parameter.unit,
+            "meaning": parameter.meaning,
+        }
+        rows.append(row)
+    write_text(options.file, pd.DataFrame(rows).to_csv(index=False))
 
 
 def write_samples(options: argparse.Namespace) -> None:
@@ -201,26 +218,3 @@ WRITERS: dict[str, Callable[[argparse.Namespace], None]] = {
     ".json": write_trajectory,
     ".mcap": write_trajectory,
 }
-
-
-def parameter_table(string: KnownString) -> str:
-    """Return CSV with a row for each parameter and its 95 % interval, if known.
-
-    The paper's parameters are per mass point, at `string.reference_points` points.
-    """
-    model = experiment_for_call((), string).model
-    rows = []
-    for parameter in model.parameters:
-        low, high = model.measured_ranges.get(parameter.name, (None, None))
-        row = {
-            "name": parameter.name,
-            "symbol": parameter.symbol,
-            "value": parameter.start,
-            "low": low,
-            "high": high,
-            "unit": parameter.unit,
-            "meaning": parameter.meaning,
-        }
-        rows.append(row)
-    table: str = pd.DataFrame(rows).to_csv(index=False)
-    return table

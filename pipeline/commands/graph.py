@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from stringcast.data.errors import escape_control_characters
+from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.pipeline.settings.named_plugins import name_plugins
@@ -27,5 +27,5 @@ def main(arguments: list[str]) -> int:
     sources = mode.graph(settings).describe_sources()
     lines = [f"{stage}: {text}" for stage, text in sources.items()]
     for line in lines or ["This run has a single stage."]:
-        print(escape_control_characters(line))
+        Terminal().print_line(line)
     return 0

@@ -12,7 +12,6 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.compare import file_differences, folder_differences
-from stringcast.data.errors import escape_control_characters
 from stringcast.data.file_checks import read_json
 from stringcast.data.metadata import DATASET_FILE
 from stringcast.data.schema import DataError
@@ -48,7 +47,7 @@ def main(arguments: list[str]) -> int:
     with progress_bars(console) as bar, TemporaryDirectory() as scratch:
         verification = verify_run(experiment, folder, Path(scratch), bar)
     for line in verification.lines:
-        print(escape_control_characters(line))
+        Terminal().print_line(line)
     return 0 if verification.is_same else 1
 
 

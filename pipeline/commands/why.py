@@ -13,7 +13,6 @@ from typing import Any
 
 from stringcast.data import store
 from stringcast.data.schema import DataError
-from stringcast.pipeline.cli.terminal import with_program_name
 from stringcast.pipeline.commands import CommandParser, print_block
 from stringcast.pipeline.commands.stored_runs import read_stored_settings, run_folder_of
 from stringcast.pipeline.modes.stepwise import Stepwise
@@ -54,10 +53,9 @@ def main(arguments: list[str]) -> int:
     names = [name for name in states if chosen in (".", name)]
     mode = build_chosen(settings["mode"], "mode", "config.json")
     if not names and chosen == "." and isinstance(mode, Stepwise):
-        command = f"python -m pipeline resume {shlex.quote(str(folder))}"
         raise UserError(
             f"{folder}: the run has made no step yet. Continue it: "
-            f"{with_program_name(command)}"
+            f"python -m pipeline resume {shlex.quote(str(folder))}"
         )
     if not names:
         folders = ", ".join(sorted({stage.folder for stage in stages().values()}))
