@@ -15,11 +15,11 @@ from stringcast.data.artifacts import (
 )
 from stringcast.data.dataset import describe_rejected
 from stringcast.data.schema import DataError
-from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
+from stringcast.pipeline.modes.stepwise import require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
+    StoredTrialsMode,
     history_of_dataset,
-    read_trial,
     read_usable_trials,
 )
 from stringcast.pipeline.run.experiment import Experiment
@@ -35,25 +35,18 @@ from stringcast.pipeline.settings.stage_registry import stages
 
 
 @dataclass(frozen=True)
-class Batch(Stepwise):
+class Batch(StoredTrialsMode):
     """Run of one stage on all trials jointly.
 
     Parameters
     ----------
     stage : str
         Stage that takes `trials`.
-    reading : tuple of str
-        Stages applied to each stored trial; those that take frames only without stored
-        points.
-    again : bool
-        Extract points again even if points are stored.
     first : tuple of str
         Stages that make a trial if none is stored; empty to require stored trials.
     """
 
     stage: str
-    reading: tuple[str, ...]
-    again: bool
     first: tuple[str, ...]
 
     def graph(self, config: Settings) -> StageGraph:
@@ -112,8 +105,7 @@ class Batch(Stepwise):
         observations = tuple(data.trials.values())
         if self.reading:
             observations = tuple(
-                read_trial(history, data, name, self.reading, self.again, self.stage)
-                for name in data.trials
+                self.read_trial(history, data, name, self.stage) for name in data.trials
             )
         else:
             history.begin_iteration()

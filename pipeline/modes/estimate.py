@@ -11,11 +11,11 @@ from stringcast.data.artifacts import TrialSet
 from stringcast.data.estimates import Estimate, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.cast import log_estimation
-from stringcast.pipeline.modes.stepwise import Stepwise, require_trials
+from stringcast.pipeline.modes.stepwise import require_trials
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
+    StoredTrialsMode,
     history_of_dataset,
-    read_trial,
     read_usable_trials,
 )
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
@@ -31,23 +31,12 @@ PREDICTION = "predict"
 
 
 @dataclass(frozen=True)
-class EstimateTrials(Stepwise):
+class EstimateTrials(StoredTrialsMode):
     """Estimation from one trial after another, or from all (`trials_used=all`).
 
     Each estimation starts at the previous estimate. The last one predicts the held-out
     trials.
-
-    Parameters
-    ----------
-    reading : tuple of str
-        Stages applied to each stored trial; those that take frames only without stored
-        points.
-    again : bool
-        Extract points again even if points are stored.
     """
-
-    reading: tuple[str, ...]
-    again: bool
 
     def graph(self, config: Settings) -> StageGraph:
         """Return the graph of a stored trial and its estimation."""
@@ -74,9 +63,7 @@ class EstimateTrials(Stepwise):
         window = experiment.config["trials_used"]
         observations = []
         for number, name in enumerate(fitted, start=1):
-            observations.append(
-                read_trial(history, data, name, self.reading, self.again, ESTIMATION)
-            )
+            observations.append(self.read_trial(history, data, name, ESTIMATION))
             if window == ALL_TRIALS and number < len(fitted):
                 continue
             first = 0 if window == ALL_TRIALS else max(number - window, 0)
@@ -86,9 +73,7 @@ class EstimateTrials(Stepwise):
             log_estimation(history.iterations[-1])
 
         for name in sorted(data.trials.keys() - set(fitted)):
-            observation = read_trial(
-                history, data, name, self.reading, self.again, PREDICTION
-            )
+            observation = self.read_trial(history, data, name, PREDICTION)
             numbers = (len(history.iterations),)
             trials = TrialSet((observation,), iteration_numbers=numbers)
             history.make_artifact(PREDICTION, trials=trials)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from stringcast.data import dataset
 from stringcast.data.artifacts import Film, Observation, Points
 from stringcast.data.schema import DataError
+from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.iterations import Executor, History, with_points
 from stringcast.pipeline.run.stage_graph import StageGraph
@@ -91,57 +93,63 @@ def history_of_dataset(
     return History(executor, file_hashes=hashes, graph=graph)
 
 
-def read_trial(
-    history: History,
-    data: dataset.Dataset,
-    name: str,
-    reading: Sequence[str],
-    again: bool,
-    consumer: str,
-) -> Observation:
-    """Return a trial with its points, as a new iteration.
+@dataclass(frozen=True)
+class StoredTrialsMode(Stepwise):
+    """A mode that reads stored trials.
 
     Parameters
     ----------
-    history : History
-        History to which the iteration is added.
-    data : Dataset
-        The stored trials.
-    name : str
-        Name of the trial.
-    reading : sequence of str
-        Stages applied to the trial. Those that take frames are left out without frames,
-        or if points are stored.
+    reading : tuple of str
+        Stages applied to each stored trial. Those that take frames are left out without
+        frames, or if points are stored.
     again : bool
         Extract points again even if points are stored.
-    consumer : str
-        Stage that takes the trial, with the points wired to it.
-
-    Raises
-    ------
-    DataError
-        For a stage that needs frames, without frames.
     """
-    stored, film = data.trials[name], data.films.get(name)
-    reads_frames = film is not None and (stored.points.empty or again)
-    given: dict[str, Any] = {STORED_FILM: film}
-    if not reads_frames:
-        points = Points(stored.points, stored.readings, stored.masks)
-        given = dict.fromkeys(names_of_read_points(reading), points)
-    iteration = history.begin_iteration(given=given)
-    for stage in reading:
-        if reads_frames or not stages()[stage].takes_frames:
-            if lacking := history.lacking_input(stage):
-                raise DataError(
-                    f"{data.folder}: stage {stage} takes {lacking}, which is made from "
-                    f"frames, but of trial {name} the stored points are used. Leave "
-                    "the stage out of mode.reading, or read stored frames: "
-                    "mode.again=true."
-                )
-            history.make_artifact(stage)
-    if not iteration.artifacts:
-        return stored
-    return with_points(stored, history.wired_points(iteration, consumer))
+
+    reading: tuple[str, ...]
+    again: bool
+
+    def read_trial(
+        self, history: History, data: dataset.Dataset, name: str, consumer: str
+    ) -> Observation:
+        """Return a trial with its points, as a new iteration.
+
+        Parameters
+        ----------
+        history : History
+            History to which the iteration is added.
+        data : Dataset
+            The stored trials.
+        name : str
+            Name of the trial.
+        consumer : str
+            Stage that takes the trial, with the points wired to it.
+
+        Raises
+        ------
+        DataError
+            For a stage that needs frames, without frames.
+        """
+        stored, film = data.trials[name], data.films.get(name)
+        reads_frames = film is not None and (stored.points.empty or self.again)
+        given: dict[str, Any] = {STORED_FILM: film}
+        if not reads_frames:
+            points = Points(stored.points, stored.readings, stored.masks)
+            given = dict.fromkeys(names_of_read_points(self.reading), points)
+        iteration = history.begin_iteration(given=given)
+        for stage in self.reading:
+            if reads_frames or not stages()[stage].takes_frames:
+                if lacking := history.lacking_input(stage):
+                    raise DataError(
+                        f"{data.folder}: stage {stage} takes {lacking}, which is made "
+                        f"from frames, but of trial {name} the stored points are used. "
+                        "Leave the stage out of mode.reading, or read stored frames: "
+                        "mode.again=true."
+                    )
+                history.make_artifact(stage)
+        if not iteration.artifacts:
+            return stored
+        return with_points(stored, history.wired_points(iteration, consumer))
 
 
 def names_of_read_points(reading: Sequence[str]) -> list[str]:

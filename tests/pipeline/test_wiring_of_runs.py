@@ -10,8 +10,8 @@ import pytest
 from stringcast.data.artifacts import Film, Motion, Observation, Points, Trial
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands import load_command, new
-from stringcast.pipeline.modes import Cast
-from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS, read_trial
+from stringcast.pipeline.modes import Cast, EstimateTrials
+from stringcast.pipeline.modes.stored_trials import STORED_ARTIFACTS
 from stringcast.pipeline.run import provenance
 from stringcast.pipeline.run.experiment import refuse_lacking_settings
 from stringcast.pipeline.run.iterations import History, Step
@@ -63,7 +63,7 @@ def read_stored_trial(reading, config, film=None):
     data = SimpleNamespace(trials={"a": trial}, films={"a": film}, folder="my trials")
     graph = build_graph([*reading, "estimate", "predict"], config, STORED_ARTIFACTS)
     history = History(Maker(), graph=graph)
-    return read_trial(history, data, "a", reading, False, "estimate")
+    return EstimateTrials(reading, False).read_trial(history, data, "a", "estimate")
 
 
 @pytest.mark.parametrize(("inputs", "x"), [({}, 10.0), ({"points": "extract"}, 1.0)])
