@@ -251,20 +251,11 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
         setting = f"{name} = {config[name]!r} ({where(name)})"
         raise UserError(f"{setting}: it must be {requirement}. Change it.")
 
-    if not is_whole_number(config["max_casts"], minimum=1):
-        refuse("max_casts", "a whole number from 1")
-    trials_used = config["trials_used"]
-    if trials_used != ALL_TRIALS and not is_whole_number(trials_used, minimum=1):
+    for name, least in {"max_casts": 1, "seed": 0, "workers": 0}.items():
+        if type(config[name]) is not int:
+            refuse(name, f"a whole number from {least}")
+    if config["trials_used"] != ALL_TRIALS and type(config["trials_used"]) is not int:
         refuse("trials_used", f"a whole number from 1, or {ALL_TRIALS}")
-    if not is_whole_number(config["seed"], minimum=0):
-        refuse("seed", "a whole number from 0")
-    if not is_whole_number(config["workers"], minimum=0):
-        refuse("workers", "a whole number from 0")
     saved = config["saved_outputs"]
     if not isinstance(saved, list) or any(x not in SAVEABLE_OUTPUTS for x in saved):
         refuse("saved_outputs", f"a list of {', '.join(SAVEABLE_OUTPUTS)}")
-
-
-def is_whole_number(value: Any, minimum: int) -> bool:
-    """Return whether a value is an integer, not a bool, of at least this size."""
-    return type(value) is int and value >= minimum
