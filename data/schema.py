@@ -8,8 +8,10 @@ unit and meaning in each field's metadata.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import dedent
+from typing import Any
 
 import pandas as pd
 import pyarrow as pa
@@ -141,6 +143,10 @@ class Table:
             if name not in typed:
                 typed[name] = frame[name]
         return pd.DataFrame(typed).reset_index(drop=True)
+
+    def from_rows(self, rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+        """Make a checked frame of rows, possibly without any."""
+        return self.check(pd.DataFrame(rows)) if rows else self.empty()
 
     def empty(self) -> pd.DataFrame:
         """Make a frame without rows."""

@@ -18,6 +18,7 @@ from stringcast.data.file_checks import mark_yaml_end, read_json
 from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.cli.terminal import explain_hydra_error
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
+from stringcast.pipeline.run.file_names import artifact_tables
 from stringcast.pipeline.run.picture_source import refuse_unusable_source
 from stringcast.pipeline.settings.composition import (
     UserError,
@@ -92,7 +93,7 @@ class KnownString:
                 f"{run}: there is no such folder. "
                 "Name that of casts, an estimation or a diagnosis."
             )
-        estimates = sorted(run.glob("iterations/*/estimate/parameters.parquet"))
+        estimates = artifact_tables(run, "estimate", "parameters")
         if (run / EXTENDED).exists() or not estimates:
             return cls.load(run)
         settings = read_json(run / "config.json")

@@ -19,6 +19,7 @@ from stringcast.measured import read
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.commands.stored_runs import read_stored_settings
+from stringcast.pipeline.run.file_names import artifact_tables
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.stages.export.mjcf import PLAYER_TEXT, build_mjcf, choose_step
 from stringcast.stages.export.mujoco_motion import simulate_chain, tip_distances
@@ -172,7 +173,7 @@ def write_samples(options: argparse.Namespace) -> None:
 
     Raises UserError for a run without draws.
     """
-    stored = sorted(options.run.glob("iterations/*/estimate/draws.parquet"))
+    stored = artifact_tables(options.run, "estimate", "draws")
     draws = pd.read_parquet(stored[-1]) if stored else pd.DataFrame()
     if draws.empty:
         raise UserError(
@@ -193,7 +194,7 @@ def write_trajectory(options: argparse.Namespace) -> None:
 
     Raises UserError for a run without a motion, or unless there are three joints.
     """
-    stored = sorted(options.run.glob("iterations/*/motion/commands.parquet"))
+    stored = artifact_tables(options.run, "motion", "commands")
     if not stored:
         raise UserError(
             f"{options.run}: it holds no motion. Name the folder of a run of casts."

@@ -21,7 +21,7 @@ from stringcast.data.file_checks import MAX_TEXT_BYTES, read_json, require_plain
 from stringcast.data.schema import DataError, Table, parse_columns
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.run.file_names import FAILURE_FILE
+from stringcast.pipeline.run.file_names import FAILURE_FILE, artifact_tables
 from stringcast.pipeline.run.provenance import software_versions, stale_reasons
 from stringcast.pipeline.run.result import read_summary
 from stringcast.pipeline.settings.composition import UserError
@@ -92,7 +92,7 @@ def list_runs(folder: Path) -> pd.DataFrame:
     rows = []
     for run in track(sorted(runs), "index", console=console, transient=True):
         rows.append({"run": run.relative_to(folder).as_posix()} | run_row(run))
-    return RUNS_TABLE.check(pd.DataFrame(rows)) if rows else RUNS_TABLE.empty()
+    return RUNS_TABLE.from_rows(rows)
 
 
 def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
@@ -243,7 +243,7 @@ def step_columns(
     dates = [origin["at"] for origin in origins if origin]
     seconds = [origin.get("seconds", 0.0) for origin in origins]
     rates: list[float] = []
-    for file in run.glob("iterations/*/estimate/fit.parquet"):
+    for file in artifact_tables(run, "estimate", "fit"):
         estimation = store.read_table(ESTIMATION_SUMMARY, file)
         rates.append(float(estimation["after"].iloc[0]))
 

@@ -13,43 +13,41 @@ from stringcast.data.file_checks import read_json
 from stringcast.data.schema import Table, parse_columns
 from stringcast.data.store import load, read_table
 from stringcast.pipeline.paper.scores import median_with_interval
+from stringcast.pipeline.run.file_names import artifact_tables
 from stringcast.pipeline.settings.typed_settings import build_dataclass
 from stringcast.stages.model.arm import Arm
 
 MOMENTS = 5  # times of drawn strings, up to the closest approach
-LINES = Table(
-    "lines",
-    "strings and arm at some moments of the casts, up to the closest approach",
-    parse_columns("""
+CAST_COLUMNS = parse_columns("""
     condition (text): experiment of paper.yaml
     seed [1] (int): seed of the run
     cast [1] (int): number of the cast
-    moment [1] (int): from 0
-    kind (text): arm, measured, or foretold: simulated when the motion was chosen
+    """)
+PLACE_COLUMNS = parse_columns("""
     t [s]: time; 0 is the start of the movement
     x [m]: position
     y [m]: position
-    """),
+    """)
+LINES = Table(
+    "lines",
+    "strings and arm at some moments of the casts, up to the closest approach",
+    CAST_COLUMNS
+    + parse_columns("""
+    moment [1] (int): from 0
+    kind (text): arm, measured, or foretold: simulated when the motion was chosen
+    """)
+    + PLACE_COLUMNS,
 )
 HANDS = Table(
     "hands",
     "hand path in the casts, from the measured joint angles",
-    parse_columns("""
-    condition (text): experiment of paper.yaml
-    seed [1] (int): seed of the run
-    cast [1] (int): number of the cast
-    t [s]: time; 0 is the start of the movement
-    x [m]: position
-    y [m]: position
-    """),
+    CAST_COLUMNS + PLACE_COLUMNS,
 )
 MATCHING = Table(
     "matching",
     "matching rate E_f over time in the casts",
-    parse_columns("""
-    condition (text): experiment of paper.yaml
-    seed [1] (int): seed of the run
-    cast [1] (int): number of the cast
+    CAST_COLUMNS
+    + parse_columns("""
     t [s]: time; 0 is the start of the movement
     before [1]: with the parameters used for the motion
     after [1]: with those estimated from this cast
@@ -70,10 +68,8 @@ BOXES = Table(
 PARAMETERS = Table(
     "parameters",
     "parameters of the last estimation of each run",
-    parse_columns("""
-    condition (text): experiment of paper.yaml
-    seed [1] (int): seed of the run
-    cast [1] (int): number of the cast
+    CAST_COLUMNS
+    + parse_columns("""
     symbol (text): as in the paper
     value: in `unit`
     unit (text): as in the paper
@@ -135,8 +131,7 @@ def parameter_table(folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
     """Return table PARAMETERS of the runs of a study's folder."""
     frames = []
     for run in runs.itertuples():
-        pattern = "iterations/*/estimate/parameters.parquet"
-        paths = sorted((folder / run.folder).glob(pattern))
+        paths = artifact_tables(folder / run.folder, "estimate", "parameters")
         if paths:
             frame = read_table(Estimate.TABLES["parameters"], paths[-1])
             number = int(paths[-1].parts[-3])

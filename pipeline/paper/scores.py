@@ -130,17 +130,12 @@ def run_table(ledger: Ledger, jobs: Sequence[Job]) -> pd.DataFrame:
             "folder": job.key,
         }
         rows.append(row)
-    return table_of_rows(RUNS, rows)
+    return RUNS.from_rows(rows)
 
 
 def read_casts(ledger: Ledger, key: str) -> list[dict[str, Any]]:
     """Return the casts of a job with the names of table CASTS."""
     return [{"cast": cast.pop("number"), **cast} for cast in ledger.casts(key)]
-
-
-def table_of_rows(table: Table, rows: list[dict[str, Any]]) -> pd.DataFrame:
-    """Return the checked table of rows, possibly without any."""
-    return table.check(pd.DataFrame(rows)) if rows else table.empty()
 
 
 def add_pooled_experiment(runs: pd.DataFrame) -> pd.DataFrame:
@@ -155,7 +150,7 @@ def cast_table(ledger: Ledger, runs: pd.DataFrame) -> pd.DataFrame:
     for run in runs[runs["state"] == DONE_STATE].itertuples():
         for cast in read_casts(ledger, run.folder):
             rows.append({"condition": run.condition, "seed": run.seed, **cast})
-    return table_of_rows(CASTS, rows)
+    return CASTS.from_rows(rows)
 
 
 def rate_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -165,7 +160,7 @@ def rate_table(runs: pd.DataFrame) -> pd.DataFrame:
         for within in range(1, int(group["budget"].max()) + 1):
             share = share_with_interval(group["hit_at"] <= within)
             rows.append({"condition": experiment, "within": within, **share})
-    return table_of_rows(RATES, rows)
+    return RATES.from_rows(rows)
 
 
 def needed_cast_table(runs: pd.DataFrame) -> pd.DataFrame:
@@ -176,7 +171,7 @@ def needed_cast_table(runs: pd.DataFrame) -> pd.DataFrame:
         paper = printed.get(str(experiment), np.nan)
         median = median_with_interval(group["hit_at"].to_numpy())
         rows.append({"condition": experiment, "paper": paper, **median})
-    return table_of_rows(NEEDED, rows)
+    return NEEDED.from_rows(rows)
 
 
 def share_with_interval(right: pd.Series) -> dict[str, float]:

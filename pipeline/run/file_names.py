@@ -15,6 +15,11 @@ def artifact_folder(number: int, artifact: str = "") -> Path:
     return Path("iterations") / f"{number:02d}" / artifact
 
 
+def artifact_tables(run: Path, artifact: str, table: str) -> list[Path]:
+    """Return the files of a table in all iterations of a run, in their order."""
+    return sorted(run.glob(f"iterations/*/{artifact}/{table}.parquet"))
+
+
 def kept_folder(artifact: Path) -> Path:
     """Return the folder of intermediate results of a step."""
     return artifact.with_name(f".{artifact.name}.kept")

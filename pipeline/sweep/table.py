@@ -11,6 +11,7 @@ import pandas as pd
 from stringcast.data.estimates import Estimate
 from stringcast.data.schema import Column, Table, parse_columns
 from stringcast.data.store import read_table
+from stringcast.pipeline.run.file_names import artifact_tables
 from stringcast.pipeline.run.provenance import setting_of
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 
@@ -67,8 +68,7 @@ def sweep_table(ledger: Ledger, jobs: Sequence[Job]) -> tuple[Table, pd.DataFram
 
 def last_parameters(ledger: Ledger, job: Job) -> pd.DataFrame:
     """Return the parameter table of a job's last estimation, or an empty one."""
-    pattern = "iterations/*/estimate/parameters.parquet"
-    paths = sorted(ledger.job_folder(job.key).glob(pattern))
+    paths = artifact_tables(ledger.job_folder(job.key), "estimate", "parameters")
     table = Estimate.TABLES["parameters"]
     if job.state != DONE_STATE or not paths:
         return table.empty()
