@@ -52,13 +52,17 @@ def compare_rivals(
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return step
 
-    # Common data usually lower the evidence: a fit that is not compared must not lead
+    # The parent and the rivals. Common data usually lower the evidence: a fit that is
+    # not compared must not lead
     least_evidence = least_evidence_of_rivals(step.fits, step.parent, criteria)
     rivals = [f for f in step.fits[:MAX_RIVALS] if f.log_evidence > least_evidence]
     min_gain = precision_to_rank(step.best_gain)
     parent, *compared = _fit_new_rivals(prepared, step, rivals, before, min_gain)
-    causes = [fit.hypothesis.causes[-1] for fit in compared]
-    waiting = [fit for fit in step.fits if fit.hypothesis.causes[-1] not in causes]
+    compared_causes = [fit.hypothesis.causes[-1] for fit in compared]
+    others = [f for f in step.fits if f.hypothesis.causes[-1] not in compared_causes]
+    others = _shift_evidence(others, parent.log_evidence - step.parent.log_evidence)
+
+    # Another fit is compared, too, while it would lead
     fitted = list[Fit]()
     while True:
         fitted += _refit_rivals_behind_parent(prepared, parent, compared)
@@ -66,14 +70,13 @@ def compare_rivals(
             prepared, step, parent, fitted, criteria
         )
         resolved = rank_rivals(parent, resolved, criteria)
-        shift = parent.log_evidence - step.parent.log_evidence
-        others = _shift_evidence(waiting, shift)
         if not _is_overtaken(parent, resolved, others, criteria):
             break
         known = [parent, *resolved, *unresolved]
-        compared = fit_to_common_data(prepared, waiting[:1], known, min_gain)
-        waiting = waiting[1:]
+        compared = fit_to_common_data(prepared, others[:1], known, min_gain)
+        others = others[1:]
 
+    # The ranking of close rivals, and the decision about the best
     known = [parent, *resolved, *unresolved]
     resolved = _fit_close_rivals_precisely(prepared, resolved, known, min_gain)
     resolved = rank_rivals(parent, resolved, criteria)
@@ -165,7 +168,7 @@ def _split_by_resolution(
     half = (trials + 1) // 2
 
     resolved = []
-    rough = []
+    resolved_in_few = []
     unresolved = []
     for fit in rivals:
         uncertainty_m = discretisation_uncertainty_of(prepared, fit)
@@ -174,11 +177,12 @@ def _split_by_resolution(
         elif is_resolved(uncertainty_m, before_m, criteria, half):
             resolved.append(fit)
         else:
-            rough.append(fit)
-    least_evidence = least_evidence_of_rivals([*resolved, *rough], parent, criteria)
+            resolved_in_few.append(fit)
+    leaders = [*resolved, *resolved_in_few]
+    least_evidence = least_evidence_of_rivals(leaders, parent, criteria)
     if any(fit.log_evidence >= least_evidence for fit in resolved):
-        return resolved, [*unresolved, *rough]
-    return [*resolved, *rough], unresolved
+        return resolved, [*unresolved, *resolved_in_few]
+    return leaders, unresolved
 
 
 def _unresolved_ahead(resolved: Sequence[Fit], unresolved: Sequence[Fit]) -> list[Fit]:
