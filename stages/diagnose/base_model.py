@@ -67,6 +67,17 @@ def fit_base_model(
 ) -> tuple[Likelihood, np.ndarray]:
     """Fit the base model from many starts, widening ranges where the data require it.
 
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Trials and the base model.
+    rng : numpy.random.Generator
+        Generator of the starts.
+    starts : int
+        Number of starts after the screening.
+    progress : callable
+        Called with the share of the search that is done.
+
     Returns
     -------
     likelihood : Likelihood
@@ -247,6 +258,17 @@ def search_other_strings(
 
     The optimum of the base model may be a poor start for a model with a cause. The
     parameters of causes start from the fit.
+
+    Parameters
+    ----------
+    data : TrialData
+        Trials corrected at the fit.
+    fit : Fit
+        A fit with causes.
+    rng : numpy.random.Generator
+        Generator of the random strings.
+    starts : int
+        Number of starts after the screening, the fit among them.
     """
     hypothesis = fit.hypothesis
     is_cause = np.zeros(len(fit.chi), dtype=bool)

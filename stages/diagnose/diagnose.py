@@ -121,6 +121,10 @@ def diagnose(
 
     Parameters
     ----------
+    model : Model
+        The base model.
+    observations : sequence of Observation
+        All trials.
     rejected : dict
         Names of trials that cannot be used, with the reason.
     held_out : sequence of str
@@ -128,14 +132,25 @@ def diagnose(
         out in turn.
     obstacles : sequence of Box
         Obstacles for the proposed motion.
+    seed : int
+        Seed of all random numbers.
     starts : int
         Number of starts of the base model's search.
+    criteria : Criteria
+        Thresholds of the rules.
     matching : Matching
         Settings of the matching rate.
     design : DesignSettings
         Settings of the motion that would distinguish look-alikes.
     excluded_effects : sequence of str
         Names of effects that are not candidates.
+    progress : callable
+        Called with the share of the search that is done.
+
+    Returns
+    -------
+    Diagnosis
+        The verdict with its evidence, diagnosis.json and the extended model.
 
     Raises
     ------

@@ -49,8 +49,24 @@ def select_causes(
 ) -> Iterator[SelectionState]:
     """Add one cause at a time to a state while the evidence supports it.
 
-    Yields the state after each cause, and finally the state without causes that
-    left-out trials do not confirm.
+    Parameters
+    ----------
+    state : SelectionState
+        State at the start; it may have causes.
+    effects : sequence of type of Effect
+        Candidates.
+    criteria : Criteria
+        Thresholds of the rules.
+    seed : int
+        Seed of random starts.
+    starts : int
+        Number of starts of the string's parameters.
+
+    Yields
+    ------
+    SelectionState
+        The state after each cause, and finally the state without causes that left-out
+        trials do not confirm.
     """
     for number in range(len(state.nameable_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])

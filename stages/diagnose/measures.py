@@ -32,7 +32,16 @@ def refit(
 ) -> Fit:
     """Fit a hypothesis from the parameters of any fit.
 
-    min_gain: a step that gains less log-likelihood is slow (`solver`).
+    Parameters
+    ----------
+    data : TrialData
+        Trials, K of them.
+    fit : Fit
+        A fit to the same trials. Causes that it does not have start absent.
+    hypothesis : Hypothesis
+        The hypothesis to fit.
+    min_gain : float
+        A step that gains less log-likelihood is slow (`solver`).
     """
     start = hypothesis.exponents_from(fit.exponents)
     return fit_hypothesis(data, hypothesis, start[None], fit.grid_points, min_gain)
@@ -164,7 +173,24 @@ def trials_touched_by(
     cause: type[Effect],
     min_tip_shift_m: float,
 ) -> np.ndarray:
-    """Find the trials in which a cause that depends on place moves the tip enough."""
+    """Find the trials in which a cause that depends on place moves the tip enough.
+
+    Parameters
+    ----------
+    data : TrialData
+        Trials, K of them.
+    fit : Fit
+        A fit with the cause.
+    cause : type of Effect
+        A cause of the fit. None is found if it does not depend on place.
+    min_tip_shift_m : float
+        Root mean square displacement of a tip that is exceeded [m].
+
+    Returns
+    -------
+    numpy.ndarray of int
+        Indices of the trials.
+    """
     if not is_position_dependent(cause):
         return np.zeros(0, dtype=int)
     hypothesis = fit.hypothesis

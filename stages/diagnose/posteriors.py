@@ -59,6 +59,17 @@ def swap_lookalikes_until_stable(
     After each replacement all posteriors are computed again. Replacements are limited
     to the number of causes; one more is made without new posteriors.
 
+    Parameters
+    ----------
+    state : SelectionState
+        The final state of the selection.
+    effects : sequence of type of Effect
+        Candidates for each place.
+    criteria : Criteria
+        Its coverage defines credible sets.
+    seed : int
+        Seed of starts and of the bootstrap.
+
     Returns
     -------
     Posteriors

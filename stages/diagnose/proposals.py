@@ -144,6 +144,17 @@ def propose_causes(
     """Propose effects in addition to those of a fit, the most promising first.
 
     Effects that cannot act in these trials are left out.
+
+    Parameters
+    ----------
+    data : TrialData
+        Trials, K of them.
+    parent : Fit
+        The fit without a further cause.
+    effects : sequence of type of Effect
+        Candidates.
+    seed : int
+        Seed of the probes.
     """
     linear = LinearisedFit(data, parent)
     qmc.import_now()

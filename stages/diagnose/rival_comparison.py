@@ -47,7 +47,21 @@ def compare_rivals(
 ) -> SelectionStep:
     """Fit the best and its rivals to common data, and decide whether it is accepted.
 
-    before: the decision among fewer candidates; its compared fits are reused.
+    Parameters
+    ----------
+    prepared : PreparedData
+        Trials corrected at the parent.
+    step : SelectionStep
+        All fits so far, ranked.
+    before : SelectionStep
+        The decision among fewer candidates; its compared fits are reused.
+    criteria : Criteria
+        Thresholds of the rules.
+
+    Returns
+    -------
+    SelectionStep
+        The step with its parent and leading fits on common data, ranked again.
     """
     if step.best is None or not has_evidence(step.parent, step.best, criteria):
         return step

@@ -125,7 +125,19 @@ def add_cause(
     rng: np.random.Generator,
     starts: int,
 ) -> SelectionState:
-    """Put a fit with a further cause into a state; re-estimate noise and errors."""
+    """Put a fit with a further cause into a state; re-estimate noise and errors.
+
+    Parameters
+    ----------
+    state : SelectionState
+        State without the cause.
+    best : Fit
+        The fit with the cause.
+    criteria : Criteria
+        Its tolerance decides whether other strings are searched.
+    rng, starts
+        Generator and number of these strings.
+    """
     with_noise = reestimate_noise(state.prepared, best)
     corrected = correct_discretisation_once(with_noise, best)
     prepared = corrected.prepared

@@ -253,7 +253,11 @@ def misfit_probability(
     criteria: Criteria,
     seed: int,
 ) -> float:
-    """Estimate the probability that the misfit of a tip exceeds the tolerance."""
+    """Estimate the probability that the misfit of a tip exceeds the tolerance.
+
+    It is the share of draws of the discrepancy in which the root mean square of the
+    worst trial's tip is larger.
+    """
     # The same draws for all fits, so that probabilities differ only by the fits
     rng = np.random.default_rng([seed, DISCREPANCY_DRAWS])
     largest_m = sample_discrepancy_tip_rms(data, fit, rng).max(axis=0)

@@ -127,9 +127,20 @@ class Discrepancy:
         rng: np.random.Generator,
         chosen: np.ndarray,
     ) -> np.ndarray:
-        """Draw discrepancies over sigma (count, 2 q) given coefficients (2 M,).
+        """Draw discrepancies over sigma (count, 2 q) from their posterior.
 
-        chosen: a mask of q points at which they are evaluated, (n,).
+        Parameters
+        ----------
+        coefficients
+            Those of the residual, (2 M,).
+        grid_point
+            Course and scale of the discrepancy.
+        count
+            Number of draws.
+        rng
+            Generator of the draws.
+        chosen
+            A mask of q points at which they are evaluated, (n,).
         """
         course, scale_index = split_grid_point(grid_point)
         variance = self.basis.by_course[course].variance_at(scale_index)

@@ -204,9 +204,18 @@ def evaluate_fit(
     chi: np.ndarray,
     width: np.ndarray | None = None,
 ) -> Fit:
-    """Evaluate a hypothesis and its log evidence at exponents (P,).
+    """Evaluate a hypothesis and its log evidence at some exponents.
 
-    width: difference widths (P,) where a fit has chosen them.
+    Parameters
+    ----------
+    data
+        Trials with their error models.
+    hypothesis
+        The hypothesis; its optimum should be near.
+    chi
+        Exponents, (P,).
+    width
+        Difference widths (P,) where a fit has chosen them.
     """
     data = data.for_hypothesis(hypothesis)
     rows = data.residuals(hypothesis.model, chi[None])
