@@ -57,13 +57,23 @@ def compare_candidates(
     effects: Sequence[type[Effect]],
     criteria: Criteria,
     seed: int,
-    contested: Fit | None = None,
+    incumbent: Fit | None = None,
 ) -> SelectionStep:
     """Fit each effect in addition to a parent, and decide whether the best is accepted.
 
     Parameters
     ----------
-    contested : Fit, optional
+    prepared : PreparedData
+        Trials corrected at the parent, or with an accepted cause.
+    parent : Fit
+        The fit without the cause to be chosen.
+    effects : sequence of type of Effect
+        Candidates.
+    criteria : Criteria
+        Thresholds of the rules.
+    seed : int
+        Seed of the proposals.
+    incumbent : Fit, optional
         The fit with an accepted cause, with which the candidates compete.
     """
     # The data changed since the parent was fitted; else candidates would gain by that
@@ -72,14 +82,15 @@ def compare_candidates(
     candidates = [effect for effect in effects if effect not in causes]
     sample = _sample_trials(prepared.data, parent)
     proposals = propose_causes(*sample, candidates, seed)
-    step = SelectionStep(prepared.data, parent, proposals, (), contested=contested)
+    step = SelectionStep(prepared.data, parent, proposals, (), incumbent=incumbent)
     remaining = proposals
-    if contested is not None:
-        step = replace(step, fits=(contested,))
-        causes = contested.hypothesis.causes
+    if incumbent is not None:
+        step = replace(step, fits=(incumbent,))
+        causes = incumbent.hypothesis.causes
         remaining = [p for p in proposals if p.effect not in causes]
 
-    # The most promising ones, then all others if these explain too little
+    # At most two rounds: the most promising ones, then all others if these explain
+    # too little. Each begins again if a better parent is found
     chosen = [p for p in remaining[:INITIAL_PROPOSALS] if p.gain > STRONG_LOG_EVIDENCE]
     decided = step
     while True:
@@ -91,7 +102,7 @@ def compare_candidates(
         better = _find_better_parent(prepared, step, criteria)
         if better is not None:
             return compare_candidates(
-                prepared, better, effects, criteria, seed, contested
+                prepared, better, effects, criteria, seed, incumbent
             )
         decided = compare_rivals(prepared, step, decided, criteria)
         if decided.accepted:
@@ -108,7 +119,7 @@ def _explains_enough(
     """Return whether no further candidates need to be fitted.
 
     If the best explains little, it may be a stand-in, and the real cause may be a less
-    promising candidate. If an accepted cause is contested, others were fitted before.
+    promising candidate. All were fitted when an incumbent was accepted.
     """
     tolerance_m = criteria.tip_tolerance_m
     before_m = unexplained_tip_rms(data, decided.parent)
@@ -116,7 +127,7 @@ def _explains_enough(
         return True
     if decided.best is None or not decided.accepted:
         return False
-    if decided.contested is not None:
+    if decided.incumbent is not None:
         return True
     after_m = unexplained_tip_rms(data, decided.best)
     explained = mean_explained_fraction(before_m, after_m, tolerance_m)

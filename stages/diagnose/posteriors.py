@@ -194,7 +194,7 @@ def _compare_alternatives(
     others = hypothesis.without_cause(cause)
     reordered = others.with_cause(cause)
     chi = reordered.exponents_from(state.fit.exponents)
-    contested = evaluate_fit(data, reordered, chi)
+    incumbent = evaluate_fit(data, reordered, chi)
     # The parameters with the cause may be a poor start without it
     starts = (state.fit, state.prepared.base_fit)
     parents = [refit(data, start, others) for start in starts]
@@ -205,7 +205,7 @@ def _compare_alternatives(
         effects,
         criteria,
         seed,
-        contested,
+        incumbent,
     )
 
 

@@ -174,7 +174,7 @@ def _split_by_resolution(
     trials = len(before_m)
     needed = trials
     allowance_m = np.zeros(trials)
-    if step.contested is None:
+    if step.incumbent is None:
         needed = min(MIN_RESOLVED_TRIALS, trials)
         # A fraction of the mean squares, hence the root
         misfit_m = unexplained_tip_rms(prepared.data, step.parent)

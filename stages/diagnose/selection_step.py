@@ -39,7 +39,7 @@ class SelectionStep:
     unresolved : sequence of Fit
         Fits with as much evidence as the best on common data, with which too few
         trials can be simulated. They cannot be distinguished from it.
-    contested : Fit, optional
+    incumbent : Fit, optional
         The fit with an accepted cause, with which the candidates compete.
     """
 
@@ -50,7 +50,7 @@ class SelectionStep:
     compared: Sequence[Fit] = ()
     accepted: bool = False
     unresolved: Sequence[Fit] = ()
-    contested: Fit | None = None
+    incumbent: Fit | None = None
 
     @property
     def best(self) -> Fit | None:

@@ -111,7 +111,7 @@ def test_a_cause_with_too_few_resolved_trials_is_not_accepted(
     assert (step.best.name, step.accepted) == (best, True)
 
     # In the place of an accepted cause all trials must be resolved
-    given = replace(given, contested=fits[1])
+    given = replace(given, incumbent=fits[1])
     step = compare_rivals(prepared, given, given, CRITERIA)
     all_as_before = before == (0.0, 5e-3)
     assert step.best.name == ("uncertain" if all_as_before else "resolved")
@@ -342,7 +342,7 @@ EIGHT = [*SIX, "e6", "contact"]
 
 
 @pytest.mark.parametrize(
-    ("accepted", "left_mm", "is_contested", "expected"),
+    ("accepted", "left_mm", "has_incumbent", "expected"),
     [
         (False, 9.0, False, EIGHT),
         (True, 9.0, False, [*SIX, "e6"]),  # it explains a fifth
@@ -351,7 +351,7 @@ EIGHT = [*SIX, "e6", "contact"]
     ],
 )
 def test_all_others_are_fitted_if_the_best_explains_little(
-    accepted, left_mm, is_contested, expected, fitted_parents, monkeypatch
+    accepted, left_mm, has_incumbent, expected, fitted_parents, monkeypatch
 ):
     """Relaxation had a predicted gain of 4, gained 400, and was not tried after slip.
 
@@ -363,7 +363,7 @@ def test_all_others_are_fitted_if_the_best_explains_little(
     """
     tried = []
     parents = []
-    contested = named_fit("slip", 20.0) if is_contested else None
+    incumbent = named_fit("slip", 20.0) if has_incumbent else None
     parent = named_fit("", 0.0)
     misfit_mm = {"": 10.0, "slip": left_mm}
 
@@ -399,7 +399,7 @@ def test_all_others_are_fitted_if_the_best_explains_little(
     )
     prepared = SimpleNamespace(data=SimpleNamespace(trials=()))
     step = candidate_comparison.compare_candidates(
-        prepared, parent, EIGHT, CRITERIA, 0, contested
+        prepared, parent, EIGHT, CRITERIA, 0, incumbent
     )
     assert tried == expected
     assert all(each is parent for each in parents)
