@@ -92,7 +92,7 @@ def background_responses(
         amplitudes = fit.hypothesis.amplitude_indices(cause)
         slopes = [slope[amplitudes] for slope in fit.slopes]
         by_effect.append(_scale_to_one_metre(data, slopes))
-    return [np.concatenate(each) for each in zip(*by_effect, strict=True)]
+    return [np.concatenate(rows) for rows in zip(*by_effect, strict=True)]
 
 
 def _scale_to_one_metre(data: TrialData, changes: ByTrial) -> ByTrial:

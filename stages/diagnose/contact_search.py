@@ -233,7 +233,8 @@ def _departure_times(
     for trial, discrepancy in zip(trials, discrepancies, strict=True):
         distance = np.linalg.norm(discrepancy.reshape(-1, 2), axis=1)
         distances_m.append(distance * trial.sigma)
-    least_m = MIN_DEPARTURE_FRACTION * max(each.max() for each in distances_m)
+    largest_m = max(distance_m.max() for distance_m in distances_m)
+    least_m = MIN_DEPARTURE_FRACTION * largest_m
     departures = []
     for trial, distance_m in zip(trials, distances_m, strict=True):
         is_large = distance_m > np.maximum(DEPARTURE_SIGMAS * trial.sigma, least_m)
@@ -283,4 +284,4 @@ def path_arguments(
 
 def _thin_path(path: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
     """Keep about `count` points of a path, evenly."""
-    return {name: each[:: max(len(each) // count, 1)] for name, each in path.items()}
+    return {name: row[:: max(len(row) // count, 1)] for name, row in path.items()}

@@ -277,8 +277,8 @@ def build_diagnosis(
     """Assemble the artifact; it shows the base model if no cause is named."""
     data = state.prepared.data
     base_fit = judgement.base_fit
-    found = set(state.fit.hypothesis.cause_names)
-    is_named = not found.isdisjoint(judgement.verdict.causes)
+    final_causes = set(state.fit.hypothesis.cause_names)
+    is_named = not final_causes.isdisjoint(judgement.verdict.causes)
     reported = state if is_named else replace(state, fit=base_fit)
     # A random stream separate from those of the fits
     rng = np.random.default_rng([settings.seed, len(data.trials)])

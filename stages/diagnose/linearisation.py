@@ -42,8 +42,8 @@ class LinearisedFit:
         A candidate that diverges in any trial is DIVERGED_RESIDUAL in all of them.
         """
         residuals = self.data.residuals(hypothesis.model, chi)
-        by_trial = [(each == DIVERGED_RESIDUAL).any(axis=1) for each in residuals]
-        diverged = np.any(by_trial, axis=0)[:, None]
+        by_trial = [(rows == DIVERGED_RESIDUAL).any(axis=1) for rows in residuals]
+        diverged = np.any(by_trial, axis=0)[:, None]  # (C, 1)
         responses = []
         for residual, before in zip(residuals, self.parent.residuals, strict=True):
             change = residual - before

@@ -160,15 +160,14 @@ def propose_causes(
     qmc.import_now()
     # Contacts first, because their search takes longest
     ordered = sorted(effects, key=is_position_dependent, reverse=True)
-    found_by_effect = map_in_workers(
+    results = map_in_workers(
         lambda effect: _propose_effect(linear, effect, seed), ordered
     )
-    found_of = dict(zip(ordered, found_by_effect, strict=True))
+    by_effect = dict(zip(ordered, results, strict=True))
     proposals = []
     for effect in effects:
-        found = found_of[effect]
-        if found:
-            starts, gain, direction = found
+        if by_effect[effect]:
+            starts, gain, direction = by_effect[effect]
             hypothesis = parent.hypothesis.with_cause(effect)
             proposal = Proposal(hypothesis, starts, float(gain), direction)
             proposals.append(proposal)

@@ -173,10 +173,10 @@ def _refine_from_other_strings(
     however wrong it is.
     """
     chi = search_other_strings(prepared.data, fit, rng, starts)
-    found = evaluate_fit(prepared.data, fit.hypothesis, chi)
-    places = in_different_places([fit, found])
-    refined = [refine_fit(prepared, place) for place in places]
-    return max(refined, key=lambda each: each.fit.log_evidence)
+    other = evaluate_fit(prepared.data, fit.hypothesis, chi)
+    distinct = in_different_places([fit, other])
+    refined = [refine_fit(prepared, option) for option in distinct]
+    return max(refined, key=lambda option: option.fit.log_evidence)
 
 
 def _refit_step(
@@ -205,20 +205,20 @@ def _refit_step(
 
 def with_causes_found_before(
     prepared: PreparedData,
-    found: SelectionState,
+    earlier: SelectionState,
     criteria: Criteria,
     seed: int,
     starts: int,
 ) -> SelectionState:
     """Fit the causes of an earlier search to the prepared trials."""
     base = prepared.base_fit
-    hypothesis = Hypothesis(base.hypothesis.base, found.fit.hypothesis.causes)
+    hypothesis = Hypothesis(base.hypothesis.base, earlier.fit.hypothesis.causes)
     # By values, because ranges may differ with other trials
-    start = hypothesis.model.exponents_of_values(found.fit.values)
+    start = hypothesis.model.exponents_of_values(earlier.fit.values)
     fit = fit_hypothesis(prepared.data, hypothesis, start[None], base.grid_points)
     rng = np.random.default_rng(seed)
-    steps = _without_fits(found.steps, prepared)
-    state = SelectionState(prepared, base, steps, unnamed=found.unnamed)
+    steps = _without_fits(earlier.steps, prepared)
+    state = SelectionState(prepared, base, steps, unnamed=earlier.unnamed)
     return add_cause(state, fit, criteria, rng, starts)
 
 

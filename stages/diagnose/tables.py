@@ -252,8 +252,10 @@ def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fi
     """Find the fit with a named cause: the final one, or that of a look-alike."""
     if name in state.fit.hypothesis.cause_names:
         return state.fit
-    posteriors = judgement.posteriors
-    fits = [each.fits[name] for each in posteriors if name in each.fits]
+    fits = []
+    for posterior in judgement.posteriors:
+        if name in posterior.fits:
+            fits.append(posterior.fits[name])
     return max(fits, key=lambda fit: fit.log_evidence)
 
 

@@ -312,8 +312,8 @@ def judge_interrupted_search(
         inclusion_probability=inclusion_probabilities(posteriors),
         misfit_probability=probability,
     )
-    found = _probable_effects(numbers) or "no cause"
-    remark = f"The search was interrupted; so far it had found {found}."
+    probable = _probable_effects(numbers) or "no cause"
+    remark = f"The search was interrupted; so far it had found {probable}."
     verdict = Verdict("insufficient", probability, remark=remark)
     base_fit = fit_base_to(state)
     return Judgement(

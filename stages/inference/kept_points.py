@@ -35,11 +35,11 @@ class KeptPoints:
         values: np.ndarray,
     ) -> dict[int, np.ndarray]:
         """Look up the points (n, 2) [m] of candidates (C, P), by candidate index."""
-        found = {}
-        for number, key in enumerate(_keys(model, trial, values)):
+        by_candidate = {}
+        for candidate, key in enumerate(_keys(model, trial, values)):
             if key in self._points:
-                found[number] = self._points[key]
-        return found
+                by_candidate[candidate] = self._points[key]
+        return by_candidate
 
     def store(
         self,
