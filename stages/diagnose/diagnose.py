@@ -166,15 +166,15 @@ def diagnose(
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
         raise DataError(f"No trial can be used ({reasons}). Check the files it names.")
     settings = DiagnosisSettings(
-        model,
-        obstacles,
-        seed,
-        starts,
-        criteria,
-        matching,
-        design,
-        excluded_effects,
-        progress,
+        model=model,
+        obstacles=obstacles,
+        seed=seed,
+        starts=starts,
+        criteria=criteria,
+        matching=matching,
+        design=design,
+        excluded_effects=excluded_effects,
+        progress=progress,
     )
     trials = TrialsByUse(usable, held_out, rejected)
     if not trials.searched_trials:
