@@ -211,7 +211,8 @@ class CauseSearch:
     def base_of_swap(self, best: Comparison) -> Comparison | None:
         """Return the best causes without one that was not yet exchanged, if any.
 
-        If this part was not fitted, added effects start from the fit of all causes.
+        If this part was not fitted, its residual is not known, and added effects start
+        from the fit of all causes.
         """
         for left_out in best.causes:
             part = tuple(cause for cause in best.causes if cause != left_out)
@@ -223,7 +224,7 @@ class CauseSearch:
             for causes, comparison in self.comparisons().items():
                 if set(causes) <= set(part):
                     known.append(comparison.log_evidence)
-            return replace(best, causes=part, log_evidence=max(known))
+            return Comparison(part, max(known), np.nan, screened=best.exponents)
         return None
 
     def has_time_to_screen(self, base: Comparison) -> bool:

@@ -39,10 +39,11 @@ class Comparison:
     ----------
     causes : names of the effects; empty for the original model
     log_evidence : gain over the original model
-    rms_m : root mean square residual of the centre-line [m]; NaN for causes of earlier
-        trials that were not fitted to these
+    rms_m : root mean square residual of the centre-line [m]; NaN if the causes were
+        neither screened nor fitted in these trials
     estimate : estimate with the causes, if they were fitted
-    screened : exponents by name after the screening, if they were not fitted
+    screened : exponents by name if the causes were not fitted: after the screening, or
+        of a fit with more causes
     """
 
     causes: Causes

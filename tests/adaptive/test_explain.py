@@ -57,7 +57,8 @@ EXPLAIN = "stringcast.stages.explain.explain"
 
 def fitted_comparison(names, log_evidence, rms_m):
     fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
-    estimate = SimpleNamespace(fit=fit)
+    parameters = pd.DataFrame([{"name": "linear_drag", "chi": 0.5}])
+    estimate = SimpleNamespace(fit=fit, parameters=parameters)
     return Comparison(tuple(names.split()), log_evidence, rms_m, estimate)
 
 
@@ -326,6 +327,20 @@ def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
     )
     assert probabilities["gravity_direction", "tip_mass"] < 0.9
     assert searched.is_exchanged(searched.best)
+
+
+def test_base_of_a_swap_has_the_exponents_of_the_best_but_not_their_residual(search):
+    searched = search.begin(ALL_FOUR)
+    wind = searched.comparer.fit(find_effects(["wind"]), None)
+    best = searched.comparer.fit(find_effects(["tip_mass", "wind"]), None)
+    searched.fitted.update({each.causes: each for each in (wind, best)})
+    searched.screenings[wind.causes] = Screening([])
+    base = searched.base_of_swap(best)
+    assert base.causes == ("tip_mass",)
+    assert base.exponents == best.exponents == {"linear_drag": 0.5}
+    assert base.estimate is None
+    assert not base.has_residual
+    assert base.log_evidence == 0  # of no cause, the only known part of it
 
 
 @pytest.mark.parametrize(("cause", "first"), [("clamp", NO_CAUSE), ("wind", ("wind",))])
