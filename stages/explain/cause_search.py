@@ -73,6 +73,11 @@ class Finalist:
     is_deferred: bool = False
 
     @property
+    def is_rival(self) -> bool:
+        """Whether only earlier trials were compared with the causes."""
+        return not self.comparison.has_residual
+
+    @property
     def is_slow(self) -> bool:
         """Whether stiff loads make a fit take SLOW_FITS times as long."""
         effects = find_effects(self.comparison.causes)
@@ -122,6 +127,8 @@ class CauseSearch:
     ----------
     screenings : dict
         Screenings by the causes of their base.
+    rival_gain : float
+        Largest log evidence that the fit of a rival gained over that of earlier trials.
     unfitted : set
         Causes for whose fit there was no time.
     is_complete : bool
@@ -138,6 +145,7 @@ class CauseSearch:
     earlier: Collection[Causes] = ()
     rivals: Sequence[Finalist] = ()
     screenings: dict[Causes, Screening] = field(default_factory=dict, init=False)
+    rival_gain: float = field(default=0.0, init=False)
     unfitted: set[Causes] = field(default_factory=set, init=False)
     is_complete: bool = field(default=True, init=False)
     _noise_ratios: dict[Causes, NoiseRatios] = field(default_factory=dict, init=False)
@@ -145,13 +153,14 @@ class CauseSearch:
     def run(self) -> None:
         """Screen and fit causes until no move can help, or until time is up.
 
-        A base that leads all others is extended before anything is fitted.
+        A base that leads all others is extended before anything is fitted, except for
+        rivals: a screening leaves them out.
         """
         while True:
             base = self.next_base()
             waiting = self.waiting_finalists()
             leads = base is not None and base.causes == self.most_probable.causes
-            if waiting and not leads:
+            if waiting and (waiting[0].is_rival or not leads):
                 self.fit(waiting[0])
             elif base is None:
                 return
@@ -271,8 +280,12 @@ class CauseSearch:
         self.screenings[base.causes] = Screening(finalists)
 
     def waiting_finalists(self) -> list[Finalist]:
-        """List the finalists that may be as probable as the best causes, best first."""
-        finalists = [(rival, 0.0) for rival in self.rivals]  # with the gain of a fit
+        """List the finalists that may be as probable as the best causes.
+
+        Rivals of earlier trials come first, and then the most probable.
+        """
+        # Each with the gain that a fit may have
+        finalists = [(rival, self.rival_gain) for rival in self.rivals]
         for screening in self.screenings.values():
             for finalist in screening.finalists[: self.max_finalists]:
                 finalists.append((finalist, screening.fit_gain))
@@ -289,9 +302,10 @@ class CauseSearch:
             probability = self.log_posterior(finalist.comparison)
             deficit = self.log_posterior(best) - probability
             if not best.causes or deficit < fit_gain + MAX_DEFICIT:
-                waiting.append((finalist.is_deferred, -probability, finalist))
-        waiting.sort(key=lambda ranked: ranked[:2])
-        return [finalist for _, _, finalist in waiting]
+                rank = (not finalist.is_rival, finalist.is_deferred, -probability)
+                waiting.append((rank, finalist))
+        waiting.sort(key=lambda ranked: ranked[0])
+        return [finalist for _, finalist in waiting]
 
     def fit(self, finalist: Finalist) -> None:
         """Fit a finalist from new starts and from the best of its parts."""
@@ -308,8 +322,10 @@ class CauseSearch:
             start = max(parts, key=self.log_posterior).estimate
             fitted = finalist.comparer.fit(finalist.effects, start)
         self.fitted[causes] = fitted
-        if finalist.comparison.has_residual:
-            gain = fitted.log_evidence - finalist.comparison.log_evidence
+        gain = fitted.log_evidence - finalist.comparison.log_evidence
+        if finalist.is_rival:
+            self.rival_gain = max(gain, self.rival_gain)
+        else:
             screening = self.screenings[finalist.comparer.base.causes]
             screening.fit_gain = max(gain, screening.fit_gain)
 
@@ -339,9 +355,14 @@ class CauseSearch:
     def comparisons(self) -> dict[Causes, Comparison]:
         """Return the comparisons of all causes: by a fit, else the most evident one.
 
-        A fit might gain as much for a finalist as for others of its screening.
+        A fit might gain as much for a finalist as for others of its screening, and for
+        a rival as for other rivals.
         """
-        known = {rival.comparison.causes: rival.comparison for rival in self.rivals}
+        known = {}
+        for rival in self.rivals:
+            blocks = rival.comparer.blocks
+            expected = rival.comparison.with_gain(self.rival_gain, blocks)
+            known[expected.causes] = expected
         known.update(self.fitted)
         for screening in self.screenings.values():
             for finalist in screening.finalists:

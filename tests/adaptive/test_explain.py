@@ -385,7 +385,7 @@ def test_deficit_is_measured_before_fits(search, monkeypatch):
 
 def with_rivals_of_earlier(searched, known, *rivals):
     """Fit the most probable causes of earlier trials, and let rivals follow."""
-    fitted = searched.comparer.fit(find_effects([known]), None)
+    fitted = searched.comparer.fit(find_effects(known.split()), None)
     searched.fitted[fitted.causes] = fitted
     for names in rivals:
         causes = tuple(names.split())
@@ -414,6 +414,38 @@ def test_a_rival_of_earlier_trials_that_is_right_helps_no_other(search):
     expected = searched.comparer.compare(find_effects(["wind"]), 5.3e-3)
     found = searched.comparisons()["wind",]
     assert found.log_evidence == pytest.approx(expected.log_evidence)
+
+
+def test_rivals_of_earlier_trials_are_fitted_before_new_effects_are_sought(
+    search, monkeypatch
+):
+    """Three causes were probable in a look. A cast shows that two are too few."""
+    searched = search.begin(ALL_FOUR)
+    with_rivals_of_earlier(searched, "tip_mass wind", "rest_curvature tip_mass wind")
+    assert searched.next_base().causes == searched.most_probable.causes
+    search.fits.clear()
+    screened_before = []
+
+    def screen(searched, base):
+        screened_before.extend(search.fits)
+        searched.screenings[base.causes] = Screening([])
+
+    monkeypatch.setattr(CauseSearch, "screen", screen)
+    searched.run()
+    assert screened_before[0] == ("rest_curvature", "tip_mass", "wind")
+
+
+def test_rivals_of_earlier_trials_keep_their_ratio_to_the_best_of_them(search):
+    """Without wind, a look left little more than noise; a cast shows the wind."""
+    searched = search.begin(ALL_FOUR)
+    rivals = "gravity_direction tip_mass", "tip_mass wind"
+    with_rivals_of_earlier(searched, "tip_mass", *rivals)
+    searched.fit(searched.rivals[0])
+    known = searched.fitted["gravity_direction", "tip_mass"]
+    expected = searched.comparisons()["tip_mass", "wind"]
+    assert expected.log_evidence == pytest.approx(known.log_evidence)
+    searched.run()
+    assert ("tip_mass", "wind") in search.fits
 
 
 def test_a_rival_that_there_was_no_time_to_fit_refutes_no_causes(search, monkeypatch):
