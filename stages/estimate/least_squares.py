@@ -119,6 +119,11 @@ def estimate(
     likelihood, best = refine_solution(likelihood, best)
     on_mesh = likelihood
     likelihood, best = refine_at_mesh_limit(on_mesh, best)
+    is_stuck = likelihood is on_mesh and max(on_mesh.noise_scales) >= MISFIT_RATIO
+    if is_stuck and previous is not None:
+        # A coarse mesh may lead to a solution that cannot be corrected: string D became
+        # twice as stiff in a look and a cast
+        likelihood, best = refine_at_mesh_limit(on_mesh, best, before)
     is_at_limit = likelihood is not on_mesh
 
     corrected_trials = likelihood.data.trials

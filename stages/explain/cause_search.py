@@ -308,19 +308,14 @@ class CauseSearch:
         return [finalist for _, finalist in waiting]
 
     def fit(self, finalist: Finalist) -> None:
-        """Fit a finalist from new starts and from the best of its parts."""
+        """Fit a finalist from new starts and from the most probable fit."""
         causes = finalist.comparison.causes
         if self.budget.is_used_up(SLOW_FITS if finalist.is_slow else 1.0):
             self.unfitted.add(causes)
             self.is_complete = False
             return
-        parts = []
-        for part, comparison in self.fitted.items():
-            if set(part) < set(causes):
-                parts.append(comparison)
         with self.budget.measure_fit():
-            start = max(parts, key=self.log_posterior).estimate
-            fitted = finalist.comparer.fit(finalist.effects, start)
+            fitted = finalist.comparer.fit(finalist.effects, self.best.estimate)
         self.fitted[causes] = fitted
         gain = fitted.log_evidence - finalist.comparison.log_evidence
         if finalist.is_rival:

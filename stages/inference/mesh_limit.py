@@ -51,19 +51,21 @@ SETTLED_CHANGE = 1.0
 
 
 def refine_at_mesh_limit(
-    likelihood: Likelihood, chi: np.ndarray
+    likelihood: Likelihood, chi: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[Likelihood, np.ndarray]:
     """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
 
     The given solution is kept if the corrected one misfits more: no mesh resolves a
     string that whips, and the data may come from a chain of mass points.
 
+    start: exponents (P,) from which the correction begins, if not from the solution.
+
     Returns the likelihood of the corrected points and its best exponents.
     """
     measured = [trial.points for trial in likelihood.data.trials]
     subtracted = [np.zeros_like(points) for points in measured]
     plain = corrected = likelihood  # without and with the uncertain error
-    best = _refine_on_finest_mesh(likelihood, chi)
+    best = _refine_on_finest_mesh(likelihood, chi if start is None else start)
     changes: list[float] = []  # sum of squared changes of residuals, per correction
     for _ in range(MAX_CORRECTIONS):
         trials = plain.data.trials

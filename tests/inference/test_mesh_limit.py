@@ -83,6 +83,19 @@ def test_correction_removes_nine_tenths_of_the_error_of_a_barely_sufficient_mesh
     assert abs(best - truth)[stiffness] < 0.1 * before
 
 
+def test_a_correction_from_an_earlier_estimate_leaves_a_wrong_solution():
+    """A look and a cast of string D were fitted with twice its stiffness."""
+    likelihood, chi, truth = fit_slow_swing(FAR_FINER, "D")
+    stiffness = COARSE.names.index("bending_stiffness")
+    stuck = chi.copy()
+    stuck[stiffness] += 0.3
+    off = []
+    for start in (None, truth):
+        _, best = refine_at_mesh_limit(likelihood, stuck, start)
+        off.append(abs(best - truth)[stiffness])
+    assert off[1] < 0.01 < off[0]
+
+
 def test_data_of_the_mesh_itself_are_not_corrected():
     likelihood, chi, _ = fit_slow_swing(COARSE, "D")
     corrected, best = refine_at_mesh_limit(likelihood, chi)
