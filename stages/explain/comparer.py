@@ -46,7 +46,7 @@ from stringcast.stages.model.model import Model
 # Size of each probe: fraction of the way from absent to an amplitude, (PROBES,)
 PROBE_FRACTIONS = np.repeat([0.01, 0.03, 0.1, 0.3], 4)
 PROBES = len(PROBE_FRACTIONS)
-SIDE_FRACTION = 0.1  # one of these, at which iterations start on either side
+SIDE_FRACTION = 0.1  # one of these, at which iterations start on each side
 SCREENING_ITERATIONS = 8  # at most
 # Predicted gain of log evidence below which a run stops; with 0.05 some runs stopped on
 # a plateau
@@ -138,14 +138,16 @@ class Comparer:
     def screen(self, effect: type[Effect]) -> Comparison:
         """Compare an effect by a few iterations of least squares.
 
-        They start on a coarse mesh at the best probe, and at the best ones on either
-        side of the effect's absence: wind to the left and to the right may each have a
+        They start on a coarse mesh at the best probe, and at the best one on each side
+        of the effect's absence: wind to the left and to the right may each have a
         minimum, with other drags. They continue on the given mesh.
         """
         hypothesis, coarse, absent = self._on_coarse_mesh_with(effect)
         probes = self._draw_probes(hypothesis, effect, absent)
         squares = np.mean(coarse.residuals(probes) ** 2, axis=1)  # (PROBES,)
-        starts = probes[_best_probes(squares)]
+        amplitude = hypothesis.amplitude_indices(effect)[0]
+        sides = len(_active_ends(absent[amplitude]))
+        starts = probes[_best_probes(squares, sides)]
         # The solver counts coordinates as independent, the evidence blocks
         coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
         min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
@@ -206,9 +208,9 @@ class Comparer:
         amplitudes = hypothesis.amplitude_indices(effect)
         probes = np.tile(absent, (PROBES, 1))
         probes[:, indices] = rng.uniform(0, 1, (PROBES, len(indices)))
-        # Even and odd probes are on either side of the first amplitude's absence
-        probes[::2, amplitudes[0]] = 0.0
-        probes[1::2, amplitudes[0]] = 1.0
+        # Probes alternate between the sides of the first amplitude's absence
+        first = amplitudes[0]
+        probes[:, first] = np.resize(_active_ends(absent[first]), PROBES)
         distance = probes[:, amplitudes] - absent[amplitudes]
         probes[:, amplitudes] = absent[amplitudes] + PROBE_FRACTIONS[:, None] * distance
         return probes
@@ -270,14 +272,24 @@ class Comparer:
         return given if factor == 1 else likelihood_on_mesh(given, factor)
 
 
-def _best_probes(squares: np.ndarray) -> list[int]:
-    """Choose the best probe and the best on either side, by mean square (PROBES,).
+def _active_ends(absent: float) -> list[float]:
+    """List the ends of an amplitude's range at which its effect is active.
 
-    Those on either side are away from the base, where all probes end alike.
+    There is only one if the amplitude cannot be negative, like a mass.
+
+    absent: exponent of the absent effect.
+    """
+    return [end for end in (0.0, 1.0) if not np.isclose(end, absent)]
+
+
+def _best_probes(squares: np.ndarray, sides: int) -> list[int]:
+    """Choose the best probe and the best on each side, by mean square (PROBES,).
+
+    Those on a side are away from the base, where all probes end alike.
     """
     best = [int(np.argmin(squares))]
-    for side in (0, 1):
-        is_on_side = np.arange(PROBES) % 2 == side
+    for side in range(sides):
+        is_on_side = np.arange(PROBES) % sides == side
         others = np.flatnonzero(is_on_side & (PROBE_FRACTIONS == SIDE_FRACTION))
         best.append(int(others[np.argmin(squares[others])]))
     return best

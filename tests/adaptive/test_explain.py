@@ -885,11 +885,19 @@ def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
     assert corrected < 0.5 * noise_scales[0]
 
 
-def test_screening_starts_on_either_side_of_absence(arm, camera, observe, monkeypatch):
-    """Wind to the left and to the right may each have a minimum."""
+@pytest.mark.parametrize(
+    ("cause", "hidden", "sides"),
+    [
+        ("wind", {"along_x": 0.8, "along_y": 0.0}, {-1, 1}),
+        ("tip_mass", {"ratio": 0.3}, {1}),
+    ],
+)
+def test_screening_starts_on_each_side_of_absence(
+    arm, camera, observe, monkeypatch, cause, hidden, sides
+):
+    """Wind to the left and to the right may each have a minimum; no mass is negative."""
     compare = comparer_of(
-        Model(implicit_string(20, 1e-3), arm, camera),
-        observe({"wind": {"along_x": 0.8, "along_y": 0.0}}),
+        Model(implicit_string(20, 1e-3), arm, camera), observe({cause: hidden})
     )
     starts = []
 
@@ -899,12 +907,13 @@ def test_screening_starts_on_either_side_of_absence(arm, camera, observe, monkey
 
     module = "stringcast.stages.explain.comparer"
     monkeypatch.setattr(f"{module}.fit_least_squares", keep_starts)
-    (wind,) = find_effects(["wind"])
-    hypothesis = Hypothesis(compare.model, (wind,))
-    (along_x, _) = hypothesis.parameter_indices(wind, wind.parameters)
-    assert compare.screen(wind).log_evidence > 0
-    sides = starts[0][:, along_x]
-    assert sides.min() < 0.5 < sides.max()
+    (effect,) = find_effects([cause])
+    hypothesis = Hypothesis(compare.model, (effect,))
+    (amplitude, *_) = hypothesis.amplitude_indices(effect)
+    absent = hypothesis.exponents_from({})[amplitude]
+    assert compare.screen(effect).log_evidence > 0
+    assert len(starts[0]) == 1 + len(sides)
+    assert set(np.sign(starts[0][:, amplitude] - absent)) == sides
 
 
 def test_screening_that_ends_behind_the_base_begins_again_at_it(
