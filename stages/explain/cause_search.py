@@ -2,7 +2,7 @@
 
 Two moves lead from a set of causes to another one, as in subset selection for
 regression [1]_. A forward step adds an effect. A swap exchanges a cause for another
-effect, because one that was added early may imitate another one.
+effect or for none, because one that was added early may imitate others.
 
 Both screen all effects in addition to a **base**: the set of causes of a forward step,
 or that of a swap without the exchanged cause. In a screening, a linear approximation
@@ -61,7 +61,7 @@ class Finalist:
 
     Parameters
     ----------
-    effects : mostly one
+    effects : mostly one; none to fit the base itself
     comparer : compares effects that are added to the base
     comparison : comparison by a screening, or with earlier trials
     is_deferred : whether all others are fitted first
@@ -253,7 +253,8 @@ class CauseSearch:
     def screen(self, base: Comparison) -> None:
         """Compare all effects in addition to a base.
 
-        Effects are ranked in linear approximation, and the best are refined. A slow
+        Effects are ranked in linear approximation, and the best are refined. The base
+        of a swap is compared, too: the left-out cause may explain nothing. A slow
         effect is deferred, unless it is far more evident than the others.
         """
         comparer = self.comparer.with_base(base)
@@ -270,8 +271,10 @@ class CauseSearch:
             for effect in ranked[:count]:
                 comparison = comparer.screen(effect)
                 finalists.append(Finalist((effect,), comparer, comparison))
+            if base.causes not in comparisons:
+                finalists.append(Finalist((), comparer, comparer.screen_base()))
 
-        finalists.sort(key=lambda each: -each.comparison.log_evidence)
+        finalists.sort(key=lambda each: -self.log_posterior(each.comparison))
         quick = [f.comparison.log_evidence for f in finalists if not f.is_slow]
         for number, finalist in enumerate(finalists):
             lead = finalist.comparison.log_evidence - max(quick, default=-np.inf)

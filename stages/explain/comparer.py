@@ -148,23 +148,22 @@ class Comparer:
         amplitude = hypothesis.amplitude_indices(effect)[0]
         sides = len(_active_ends(absent[amplitude]))
         starts = probes[_best_probes(squares, sides)]
-        # The solver counts coordinates as independent, the evidence blocks
-        coordinates = sum(2 * len(trial.s) for trial in coarse.data.trials)
-        min_gain = SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
-        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, min_gain)
+        runs = fit_least_squares(coarse, starts, SCREENING_ITERATIONS, self._min_gain)
         best = runs.chi[np.argmin(runs.loss)]
-        screened = self._refine(hypothesis, best, min_gain)
+        screened = self._refine(hypothesis, best)
 
         # With the effect absent the model is the base, so it need not end behind it
         expected = self.base.log_evidence - bic_penalty([effect], self.blocks)
         if screened.log_evidence < expected - SCREENING_ACCURACY:
-            from_base = self._refine(hypothesis, absent, min_gain)
+            from_base = self._refine(hypothesis, absent)
             screened = max(screened, from_base, key=lambda each: each.log_evidence)
         return screened
 
-    def _refine(
-        self, hypothesis: Hypothesis, chi: np.ndarray, min_gain: float
-    ) -> Comparison:
+    def screen_base(self) -> Comparison:
+        """Compare the base without further effects by a few iterations."""
+        return self._refine(Hypothesis(self.model), self._base_chi)
+
+    def _refine(self, hypothesis: Hypothesis, chi: np.ndarray) -> Comparison:
         """Compare a hypothesis by a few iterations from exponents (P,).
 
         The mesh error there is subtracted. With that of the base, the log evidence of
@@ -172,7 +171,9 @@ class Comparer:
         """
         given = self._likelihood_on_mesh(hypothesis, 1)
         corrected = with_estimated_noise(with_corrected_points(given, chi), chi)
-        runs = fit_least_squares(corrected, chi[None], SCREENING_ITERATIONS, min_gain)
+        runs = fit_least_squares(
+            corrected, chi[None], SCREENING_ITERATIONS, self._min_gain
+        )
         refined = runs.chi[0]
         residual_m = self._residual_at_mesh_limit(hypothesis, refined)
         compared = self.compare(hypothesis.causes, residual_m)
@@ -235,6 +236,15 @@ class Comparer:
             return hypothesis, coarse.with_trials(trials), absent
         corrected = with_corrected_points(coarse, absent)
         return hypothesis, with_estimated_noise(corrected, absent), absent
+
+    @property
+    def _min_gain(self) -> float:
+        """Gain of the solver below which iterations stop.
+
+        The solver counts coordinates as independent, the evidence blocks.
+        """
+        coordinates = sum(2 * len(trial.s) for trial in self._trials)
+        return SCREENING_MIN_GAIN * coordinates / (2 * self.blocks)
 
     @cached_property
     def _base_chi(self) -> np.ndarray:

@@ -262,6 +262,11 @@ def search(monkeypatch):
     monkeypatch.setattr(Comparer, "screen", screen)
     monkeypatch.setattr(
         Comparer,
+        "screen_base",
+        lambda self: self.compare((), 1e-3 * residual_mm(self.base.causes)),
+    )
+    monkeypatch.setattr(
+        Comparer,
         "linear_mean_square",
         lambda self, effect: residual_mm([*self.base.causes, effect.name]) ** 2,
     )
@@ -327,6 +332,19 @@ def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
     )
     assert probabilities["gravity_direction", "tip_mass"] < 0.9
     assert searched.is_exchanged(searched.best)
+
+
+def test_cause_that_was_added_first_is_dropped_if_the_others_explain_as_much(
+    search, monkeypatch
+):
+    """In a look at string D, a heavy tip and wind needed no tilt of gravity."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction", 3.0)
+    monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", 1.5)
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.0)
+    searched = search.begin("gravity_direction tip_mass wind")
+    searched.run()
+    assert ("gravity_direction", "tip_mass", "wind") in search.fits
+    assert searched.best.causes == ("tip_mass", "wind")
 
 
 def test_base_of_a_swap_has_the_exponents_of_the_best_but_not_their_residual(search):
@@ -938,6 +956,23 @@ def test_screening_that_ends_behind_the_base_begins_again_at_it(
     penalty = 0.5 * np.log(compare.blocks)
     expected = compare.base.log_evidence - penalty
     assert compared.log_evidence >= expected - SCREENING_ACCURACY
+
+
+def test_part_of_causes_is_compared_without_the_others(arm, camera, observe):
+    """Iterations begin at exponents of tip mass and wind; there is only a tip mass."""
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    compare = comparer_of(model, observe({"tip_mass": {"ratio": 0.3}}))
+    (tip_mass, wind) = find_effects(["tip_mass", "wind"])
+    both = Hypothesis(model, (tip_mass, wind))
+    chi = both.exponents_from(compare.base.exponents)
+    chi[both.amplitude_indices(tip_mass)] += 0.1
+    start = dict(zip(both.model.names, chi, strict=True))
+    part = Comparison(("tip_mass",), 0.0, np.nan, screened=start)
+    alone = compare.with_base(part).screen_base()
+    assert alone.causes == ("tip_mass",)
+    added = compare.screen(tip_mass)
+    assert alone.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
+    assert alone.rms_m < 1.1 * np.sqrt(2) * NOISE_M
 
 
 def perform_casts(method, *overrides):
