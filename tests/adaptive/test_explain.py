@@ -536,6 +536,17 @@ def test_several_causes_need_exchanges_or_confirmation(
     assert finding["verdict"] == "cause"
 
 
+@pytest.mark.parametrize("verdict", ["cause", "candidates"])
+def test_causes_that_a_look_named_need_no_further_swaps(explain_and_list, verdict):
+    """A cast leaves only noise where the mesh resolves the string, and no time."""
+    causes = "tip_mass wind"
+    previous = explanation_with({causes: 1.0}, verdict)
+    known = {"ratio": 1.0, "known_m": 0.003, "causes": causes, "seconds": 0}
+    assert explain_and_list(0.04, previous, **known) == []
+    *_, finding, _ = explain_and_list.arguments
+    assert finding["verdict"] == verdict
+
+
 def test_single_cause_that_leaves_only_noise_ends_the_search(search, monkeypatch):
     monkeypatch.setitem(RMS_MM, "tip_mass", 1.0)
     searched = search.begin(ALL_FOUR)
@@ -601,6 +612,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
         known_m=0.005,
         mesh_fraction=0.0,
         causes="tip_mass",
+        seconds=30,
     ):
         extended = []
 
@@ -624,7 +636,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
             tolerance_m=TOLERANCE_M,
             seed=0,
             cast_number=1,
-            seconds=30,
+            seconds=seconds,
             finalists=1,
             starts=1,
             screening=1,
