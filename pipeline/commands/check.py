@@ -248,17 +248,12 @@ def report_wrong_options(error: UserError, arguments: Sequence[str]) -> int:
     """Print an error in options as JSON if requested; otherwise raise it."""
     if "--json" not in arguments:
         raise error
-    print(json.dumps(overview_of_wrong_options(error), indent=2))
-    return NOT_USABLE
-
-
-def overview_of_wrong_options(error: UserError) -> dict[str, Any]:
-    """Return the overview for an error in options."""
-    overview = overview_of_unreadable(Path(), f": {error}")
+    overview = overview_of_unreadable(Path(), f": {error}") | {"folder": ""}
     (finding,) = overview["findings"]
     option = OPTION_PATTERN.search(finding["statement"])
     finding["field"] = option[0] if option else ""
-    return overview | {"folder": ""}
+    print(json.dumps(overview, indent=2))
+    return NOT_USABLE
 
 
 def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:

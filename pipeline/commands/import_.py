@@ -31,16 +31,13 @@ from stringcast.pipeline.commands.dataset_import import (
     convert_recordings,
     write_dataset,
 )
-from stringcast.pipeline.commands.import_geometry import (
-    Change,
-    command_with,
-    options_with,
-    propose_geometry,
-)
+from stringcast.pipeline.commands.import_geometry import Change, propose_geometry
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
+    command_with,
     equivalent_command,
     expand_patterns,
+    options_with,
     read_bench_hints,
     read_column_hints,
 )
@@ -166,30 +163,29 @@ def interpret_recordings(
     Corrections are confirmed on a terminal and applied without a question elsewhere.
     They change `options`.
     """
-    with TemporaryDirectory() as place:
-        for number in range(MAX_CORRECTIONS):
-            tables = gather_tables(recordings, read_column_hints(options))
-            change = propose_degrees(tables) or propose_skipped_zeros(tables)
-            if change is not None:
-                confirm_change(change, options, console)
-                continue
-            bench = read_bench_hints(options)
-            change = propose_geometry(tables, bench, options)
-            if change is not None:
-                confirm_change(change, options, console)
-                continue
+    for _ in range(MAX_CORRECTIONS):
+        tables = gather_tables(recordings, read_column_hints(options))
+        change = propose_degrees(tables) or propose_skipped_zeros(tables)
+        bench = read_bench_hints(options)
+        change = change or propose_geometry(tables, bench, options)
+        if change is None:
             imported = convert_recordings(tables, bench)
-            if imported.trials_without_common_time:
-                confirm_change(propose_clock_fit(imported, options), options, console)
-                continue
-            folder = Path(place) / str(number)
-            write_dataset(imported, folder, options.files, "")
-            checked = check.read_measurements(folder, [])
-            return tables, imported, checked
+            if not imported.trials_without_common_time:
+                return tables, imported, measure_dataset(imported)
+            change = propose_clock_fit(imported, options)
+        confirm_change(change, options, console)
     raise DataError(
         "The units and directions of these files stay unclear. State them by the "
         "options that import --help lists."
     )
+
+
+def measure_dataset(imported: ImportedDataset) -> CheckedDataset:
+    """Return the measurements of a dataset before it is written to its folder."""
+    with TemporaryDirectory() as place:
+        folder = Path(place) / "dataset"
+        write_dataset(imported, folder, (), "")
+        return check.read_measurements(folder, [])
 
 
 def propose_degrees(tables: ImportedTables) -> Change | None:
@@ -228,17 +224,13 @@ def fit_clocks(
     clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
     clock = clock_fit.estimate_offset(checked)
     fitted: ImportedDataset = clock_fit.apply_offset(imported, clock)
-    with TemporaryDirectory() as place:
-        folder = Path(place) / "fitted"
-        write_dataset(fitted, folder, (), "")
-        settled = check.read_measurements(folder, [])
     first = next(iter(clock.by_trial.values()))
     profile = clock.profile.assign(
         offset=clock.profile["offset"] - first.value,
         low=first.low - first.value,
         high=first.high - first.value,
     )
-    return fitted, settled, profile
+    return fitted, measure_dataset(fitted), profile
 
 
 def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) -> Change:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,10 +18,7 @@ from stringcast.pipeline.commands.import_corrections import (
     option_words,
     states_direction,
 )
-from stringcast.pipeline.commands.import_options import (
-    argument_parser,
-    equivalent_command,
-)
+from stringcast.pipeline.commands.import_options import command_with
 from stringcast.pipeline.commands.imported_measurements import (
     BenchHints,
     measurements_of_tables,
@@ -143,19 +139,6 @@ def statements_for_files(proposal: Proposal) -> str:
         field = correction.field.removeprefix("string.").removeprefix("arm.")
         statements.append(f"{table}, {field}: {correction.statement}")
     return " and ".join(statements)
-
-
-def options_with(
-    options: argparse.Namespace, words: Sequence[str]
-) -> argparse.Namespace:
-    """Return a copy of options with further words."""
-    files = map(str, options.files)
-    return argument_parser().parse_args([*words, "--", *files], deepcopy(options))
-
-
-def command_with(options: argparse.Namespace, words: Sequence[str]) -> str:
-    """Return the command with further options."""
-    return equivalent_command(options_with(options, words))
 
 
 # --- what no option mends ----------------------------------------------------

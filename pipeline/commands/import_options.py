@@ -6,6 +6,7 @@ import argparse
 import re
 import shlex
 from collections.abc import Sequence
+from copy import deepcopy
 from math import radians
 from pathlib import Path
 from typing import Any
@@ -349,3 +350,16 @@ def format_option(value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(map(format_option, value))
     return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def options_with(
+    options: argparse.Namespace, words: Sequence[str]
+) -> argparse.Namespace:
+    """Return a copy of options with further words."""
+    files = map(str, options.files)
+    return argument_parser().parse_args([*words, "--", *files], deepcopy(options))
+
+
+def command_with(options: argparse.Namespace, words: Sequence[str]) -> str:
+    """Return the command with further options."""
+    return equivalent_command(options_with(options, words))
