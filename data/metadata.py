@@ -16,7 +16,7 @@ from pydantic import (
 
 from stringcast.data.file_checks import MAX_PIXELS, read_yaml, require_inside
 from stringcast.data.rows import MIN_SIGMA_M
-from stringcast.data.schema import DataError
+from stringcast.data.schema import UNSET, DataError
 
 FORMAT_VERSION = 1  # key `format` of dataset.yaml
 DATASET_FILE = "dataset.yaml"
@@ -38,7 +38,6 @@ PositiveNumber = Annotated[float, Field(gt=0, allow_inf_nan=False), NotBool]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False), NotBool]
 PixelCount = Annotated[int, Field(ge=16, le=MAX_WIDTH_PX), NotBool]
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
-UNSET: Any = None  # default of keys that are optional but must not be null
 FAULT_WORDS = {
     "model_type": "it must hold names and values",
     "dict_type": "it must hold names and values",

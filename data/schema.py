@@ -32,6 +32,7 @@ PANDAS_TYPES = {
     "text": "object",
     "bytes": "object",
 }
+UNSET: Any = None  # default of a part that may be missing, but must not be null
 
 
 class DataError(ExpectedError):

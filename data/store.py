@@ -18,32 +18,42 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import BaseModel, Field
 
 from stringcast.data import disk, file_checks
 from stringcast.data.errors import remedy_for
 from stringcast.data.images import ImageFiles, encode_png
-from stringcast.data.schema import DataError, Table
+from stringcast.data.schema import UNSET, DataError, Table
 
 Artifact = TypeVar("Artifact")
-# Types of the parts of an origin that commands read.
-ORIGIN_TYPES = {
-    "step": str,
-    "python": str,
-    "inputs": dict,
-    "config": dict,
-    "code": dict,
-    "packages": dict,
-    "made": dict,
-}
 DIGEST_COLUMN = "sha256"  # column of the table `frames`
 MAX_INPUTS = 10_000  # per step: up to three for each trial
 CHUNK_BYTES = 2**20  # [bytes] hashed at a time
 READ_ERRORS = file_checks.READ_ERRORS
+
+
+class Making(BaseModel):
+    """When a step was made, and how long it took [s]."""
+
+    at: str
+    seconds: float
+
+
+class Origin(BaseModel):
+    """The parts of an origin that commands read; each may be missing."""
+
+    step: str = ""
+    python: str = ""
+    inputs: Annotated[dict[str, str], Field(max_length=MAX_INPUTS)] = {}
+    config: dict[str, Any] = {}
+    code: dict[str, str] = {}
+    packages: dict[str, str] = {}
+    made: Making = UNSET
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
@@ -228,28 +238,13 @@ def read_origin(path: Path) -> dict[str, Any]:
         ) from error
     try:
         origin = json.loads(metadata.get(b"origin", b"{}"))
-    except (ValueError, RecursionError):
-        origin = None
-    if not isinstance(origin, dict) or not has_shape_of_origin(origin):
+        Origin.model_validate(origin, strict=True)
+    except (ValueError, RecursionError) as error:
         raise DataError(
             f"{path}: its footer does not say what made it. Restore the file, or "
             "delete it and run again."
-        )
-    return origin
-
-
-def has_shape_of_origin(origin: Mapping[str, Any]) -> bool:
-    """Return whether all present parts of an origin have the right types."""
-    for name, kind in ORIGIN_TYPES.items():
-        if not isinstance(origin.get(name, kind()), kind):
-            return False
-    for name in ("inputs", "code", "packages"):
-        if not all(isinstance(value, str) for value in origin.get(name, {}).values()):
-            return False
-    if len(origin.get("inputs", {})) > MAX_INPUTS:
-        return False
-    made = origin.get("made", {"at": "", "seconds": 0.0})
-    return isinstance(made.get("at"), str) and isinstance(made.get("seconds"), float)
+        ) from error
+    return dict(origin)
 
 
 def write_text(path: Path, text: str) -> None:

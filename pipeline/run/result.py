@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field, ValidationError
 
 from stringcast.data.artifacts import Motion
 from stringcast.data.estimates import Estimate, Prediction
@@ -17,15 +18,25 @@ from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Iteration
 from stringcast.stages.spec import StageSpec
 
-# Types of the parts of run.json that commands read, and of those of an iteration
-SUMMARY_TYPES = {"hit": bool | None, "sentence": str, "iterations": list}
-ITERATION_TYPES = {
-    "number": int,
-    "hit": bool | None,
-    "miss_m": float | None,
-    "E_before": float | None,
-    "E_after": float | None,
-}
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class IterationSummary(BaseModel):
+    """The parts of an iteration in run.json that commands read."""
+
+    number: int
+    hit: bool | None = None
+    miss_m: Finite | None = None
+    E_before: Finite | None = None
+    E_after: Finite | None = None
+
+
+class Summary(BaseModel):
+    """The parts of run.json that commands read."""
+
+    sentence: str
+    iterations: list[IterationSummary]
+    hit: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -127,26 +138,11 @@ def read_summary(folder: Path) -> dict[str, Any]:
     """
     path = folder / SUMMARY_FILE
     summary = read_json(path) if path.is_file() else {}
-    if summary:
-        has_shape = has_types(summary, SUMMARY_TYPES) and all(
-            has_types(iteration, ITERATION_TYPES) for iteration in summary["iterations"]
-        )
-        if not has_shape:
-            raise DataError(
-                f"{path}: it does not say how the run ended. Delete it, and resume the "
-                "run."
-            )
+    try:
+        if summary:
+            Summary.model_validate(summary, strict=True)
+    except ValidationError as error:
+        raise DataError(
+            f"{path}: it does not say how the run ended. Delete it, and resume the run."
+        ) from error
     return summary
-
-
-def has_types(values: Any, types: Mapping[str, Any]) -> bool:
-    """Return whether values have these types, with finite numbers."""
-    if not isinstance(values, Mapping):
-        return False
-    for name, kind in types.items():
-        value = values.get(name)
-        if not isinstance(value, kind):
-            return False
-        if isinstance(value, float) and not isfinite(value):
-            return False
-    return True
