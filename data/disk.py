@@ -68,7 +68,7 @@ def hold_lock(path: Path) -> Iterator[None]:
     when the process ends or is killed; only the file stays.
     """
     with open(path, "a+b") as file:
-        _lock(file)
+        lock_file(file)
         if not path.exists() or not os.path.samestat(
             os.fstat(file.fileno()), path.stat()
         ):
@@ -79,12 +79,14 @@ def hold_lock(path: Path) -> Iterator[None]:
 
 if sys.platform == "win32":
 
-    def _lock(file: IO[bytes]) -> None:
+    def lock_file(file: IO[bytes]) -> None:
+        """Lock an open file; raise BlockingIOError if another process holds it."""
         try:
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         except OSError as error:
             raise BlockingIOError(*error.args) from error
 else:
 
-    def _lock(file: IO[bytes]) -> None:
+    def lock_file(file: IO[bytes]) -> None:
+        """Lock an open file; raise BlockingIOError if another process holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from stringcast.data import disk
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
 from stringcast.pipeline.run.result import read_summary
@@ -191,10 +192,8 @@ def try_lock(file: BinaryIO, path: Path) -> bool:
         raise DataError(
             "A sweep needs POSIX file locks. Use Linux, macOS, or WSL on Windows."
         )
-    import fcntl  # noqa: PLC0415 (missing on Windows, where only sweeps need it)
-
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        disk.lock_file(file)
     except BlockingIOError:
         return False
     except OSError as error:

@@ -282,6 +282,6 @@ def test_lock_on_a_removed_file_is_repeated(tmp_path, monkeypatch, again):
         if again:
             path.write_bytes(b"")
 
-    monkeypatch.setattr(disk, "_lock", late)
+    monkeypatch.setattr(disk, "lock_file", late)
     with pytest.raises(BlockingIOError, match="removed"), disk.hold_lock(path):
         pass
