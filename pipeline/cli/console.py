@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from math import isfinite
 
@@ -126,7 +126,7 @@ def cast_panel(result: RunResult) -> Panel:
 def cast_table(rows: list[list[str]], heading: str) -> Table:
     """Return a table of casts or stored trials without its empty columns."""
     frame = pd.DataFrame(rows, columns=[heading, *CAST_COLUMNS])
-    return text_table(frame.loc[:, (frame != "").any()], "right")
+    return text_table(frame.loc[:, (frame != "").any()], right=frame.columns)
 
 
 def cast_row(iteration: Iteration) -> list[str]:
@@ -170,10 +170,14 @@ def determined_parameters(estimate: Estimate) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def text_table(frame: pd.DataFrame, justify: JustifyMethod = "left") -> Table:
-    """Return a table of texts for the terminal."""
+def text_table(frame: pd.DataFrame, right: Collection[str] = ()) -> Table:
+    """Return a table of texts for the terminal.
+
+    right: columns that are aligned to the right, such as numbers.
+    """
     table = Table(box=None, pad_edge=False)
     for heading in frame.columns:
+        justify: JustifyMethod = "right" if heading in right else "left"
         table.add_column(escape(heading), justify=justify, overflow="fold")
     for row in frame.itertuples(index=False):
         table.add_row(*(Text(str(cell)) for cell in row))

@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_text
+from stringcast.pipeline.cli.console import text_table
 from stringcast.pipeline.cli.terminal import Terminal, program_name, with_program_name
 from stringcast.pipeline.commands import CommandParser
 from stringcast.pipeline.run.provenance import code_state
@@ -56,16 +57,6 @@ FIELD_PATTERN = re.compile(
     r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)"
 )
 OPTION_PATTERN = re.compile(r"--[a-z][\w-]*")  # the first option in a message
-NUMBER_HEADINGS = (
-    "camera [s]",
-    "with arm [s]",
-    "frames",
-    "frames per s",
-    "arm rows per s",
-    "points",
-    "noise [mm]",
-    "hand path [m]",
-)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -289,45 +280,39 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
     console.print(conclusion, soft_wrap=True)
 
 
-def trial_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def trial_table(trials: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with a row for each usable trial."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("trial", overflow="fold")
-    for heading in NUMBER_HEADINGS:
-        table.add_column(escape(heading), justify="right")
-    table.add_column("begins")
-    for row in rows:
-        table.add_row(
-            Text(row["trial"]),
-            f"{row['duration']:.2f}",
-            f"{row['common']:.2f}",
-            str(row["frames"]),
-            format_number(row["fps"], 1, 0),
-            format_number(row["hand_rate"], 1, 0),
-            format_number(row["points"], 1, 0),
-            format_number(row["noise"], 1e3, 2),
-            f"{row['path']:.2f}",
-            row["begins"],
-        )
-    return table
+    rows = []
+    for trial in trials:
+        row = {
+            "trial": trial["trial"],
+            "camera [s]": f"{trial['duration']:.2f}",
+            "with arm [s]": f"{trial['common']:.2f}",
+            "frames": trial["frames"],
+            "frames per s": format_number(trial["fps"], 1, 0),
+            "arm rows per s": format_number(trial["hand_rate"], 1, 0),
+            "points": format_number(trial["points"], 1, 0),
+            "noise [mm]": format_number(trial["noise"], 1e3, 2),
+            "hand path [m]": f"{trial['path']:.2f}",
+            "begins": trial["begins"],
+        }
+        rows.append(row)
+    return text_table(pd.DataFrame(rows), right={*rows[0]} - {"trial", "begins"})
 
 
-def effect_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with a row for each size parameter of an effect."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("effect", overflow="fold")
-    for heading in ("detectable from", "tip [mm]", "imitated by string"):
-        table.add_column(heading, justify="right")
-    table.add_column("mistaken for")
-    for row in rows:
-        table.add_row(
-            f"{row['effect']}.{row['parameter']}",
-            detection_limit_text(row),
-            format_number(row["tip_m"], 1e3, 1),
-            f"{row['imitated']:.0%}",
-            ", ".join(row["alike"]) or "-",
-        )
-    return table
+    rows = []
+    for effect in effects:
+        row = {
+            "effect": f"{effect['effect']}.{effect['parameter']}",
+            "detectable from": detection_limit_text(effect),
+            "tip [mm]": format_number(effect["tip_m"], 1e3, 1),
+            "imitated by string": f"{effect['imitated']:.0%}",
+            "mistaken for": ", ".join(effect["alike"]) or "-",
+        }
+        rows.append(row)
+    return text_table(pd.DataFrame(rows), right={*rows[0]} - {"effect", "mistaken for"})
 
 
 def format_number(value: float | None, factor: float, digits: int) -> str:

@@ -16,7 +16,6 @@ from typing import Any
 
 import pandas as pd
 from rich.table import Table
-from rich.text import Text
 
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.files import read_recordings
@@ -24,6 +23,7 @@ from stringcast.data.importers.gather import ImportedTables, gather_tables
 from stringcast.data.importers.reader import UsedColumn
 from stringcast.data.schema import DataError
 from stringcast.data.store import write_atomically
+from stringcast.pipeline.cli.console import text_table
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import check
 from stringcast.pipeline.commands.dataset_import import (
@@ -284,12 +284,6 @@ def column_table(tables: ImportedTables) -> Table:
 
     Files with the same columns share a row.
     """
-    table = Table(box=None, pad_edge=False)
-    for heading in ("file", "column", "taken as"):
-        table.add_column(heading, overflow="fold")
-    for heading in ("from", "to"):
-        table.add_column(heading, justify="right", overflow="fold")
-
     roles_of_file: dict[Path, set[str]] = {}
     for column in tables.used_columns:
         roles_of_file.setdefault(column.file, set()).add(column.role)
@@ -299,24 +293,25 @@ def column_table(tables: ImportedTables) -> Table:
         meaning = f"{column.role}{unit}, by {column.how}"
         roles = frozenset(roles_of_file[column.file])
         used.setdefault((roles, column.column, meaning), []).append(column)
+    rows = []
     for (_, name, meaning), columns in used.items():
         files = shared_file_name([column.file for column in columns])
-        cells = [files, name, meaning]
+        ends = ["", ""]
         if not isnan(columns[0].low):
             unit = range_unit(columns[0])
             low = min(column.low for column in columns)
             high = max(column.high for column in columns)
-            cells += [f"{low:.4g}{unit}", f"{high:.4g}{unit}"]
-        table.add_row(*map(Text, cells))
+            ends = [f"{low:.4g}{unit}", f"{high:.4g}{unit}"]
+        rows.append([files, name, meaning, *ends])
 
     unused: dict[str, list[Path]] = {}
     for file, names in tables.unused_columns.items():
         unused.setdefault(", ".join(map(str, names)), []).append(file)
     for listed_names, paths in unused.items():
         if listed_names:
-            cells = [shared_file_name(paths), listed_names, "left out"]
-            table.add_row(*map(Text, cells))
-    return table
+            rows.append([shared_file_name(paths), listed_names, "left out", "", ""])
+    headings = ["file", "column", "taken as", "from", "to"]
+    return text_table(pd.DataFrame(rows, columns=headings), right=("from", "to"))
 
 
 def range_unit(column: UsedColumn) -> str:
