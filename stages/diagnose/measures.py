@@ -14,7 +14,7 @@ from stringcast.stages.diagnose.predictions import (
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis, mean_discrepancy
-from stringcast.stages.inference.solver import MIN_GAIN, different_places
+from stringcast.stages.inference.solver import MIN_GAIN, distinct_solutions
 from stringcast.stages.inference.trial_data import (
     ByTrial,
     TrialData,
@@ -60,11 +60,14 @@ def fit_in_workers(
     return [replace(fit, hypothesis=hypothesis) for fit, hypothesis in pairs]
 
 
-def in_different_places(fits: Sequence[Fit]) -> list[Fit]:
-    """Select the best fit to the same data in each place, the best of all first."""
+def distinct_fits(fits: Sequence[Fit]) -> list[Fit]:
+    """Select the best of the fits with the same solution, the best of all first.
+
+    fits: to the same data.
+    """
     residuals = np.stack([np.concatenate(fit.residuals) for fit in fits])
-    places = different_places(residuals, np.mean(residuals**2, axis=1))
-    return [fits[place] for place in places]
+    distinct = distinct_solutions(residuals, np.mean(residuals**2, axis=1))
+    return [fits[number] for number in distinct]
 
 
 def residuals_without_nuisance(data: TrialData, fit: Fit) -> ByTrial:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from stringcast.stages.diagnose.agreement import probability_by_agreement
 from stringcast.stages.diagnose.background_effects import background_responses
 from stringcast.stages.diagnose.candidate_comparison import compare_candidates
-from stringcast.stages.diagnose.measures import in_different_places, refit
+from stringcast.stages.diagnose.measures import distinct_fits, refit
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.selection_state import SelectionState, with_fit
 from stringcast.stages.diagnose.selection_step import SelectionStep
@@ -223,7 +223,7 @@ def _comparison_at_acceptance(state: SelectionState) -> SelectionStep | None:
         if best.hypothesis.cause_names == hypothesis.cause_names:
             chi = hypothesis.exponents_from(best.exponents)
             as_accepted = evaluate_fit(data, hypothesis, chi)
-            has_moved = len(in_different_places([state.fit, as_accepted])) > 1
+            has_moved = len(distinct_fits([state.fit, as_accepted])) > 1
             return None if has_moved else step
     return None
 

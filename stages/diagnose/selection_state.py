@@ -16,7 +16,7 @@ from stringcast.stages.diagnose.discretisation import (
 )
 from stringcast.stages.diagnose.left_out_fits import groups_to_leave_out
 from stringcast.stages.diagnose.measures import (
-    in_different_places,
+    distinct_fits,
     refit,
     unexplained_tip_rms,
 )
@@ -174,7 +174,7 @@ def _refine_from_other_strings(
     """
     chi = search_other_strings(prepared.data, fit, rng, starts)
     other = evaluate_fit(prepared.data, fit.hypothesis, chi)
-    distinct = in_different_places([fit, other])
+    distinct = distinct_fits([fit, other])
     refined = [refine_fit(prepared, option) for option in distinct]
     return max(refined, key=lambda option: option.fit.log_evidence)
 

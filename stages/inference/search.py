@@ -26,7 +26,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.solver import (
     MAX_ITERATIONS,
-    different_places,
+    distinct_solutions,
     fit_least_squares,
 )
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
@@ -159,14 +159,14 @@ def _mesh_of_each_horizon(likelihood: Likelihood, count: int) -> list[Likelihood
 
 
 def _survivors(residual: np.ndarray, loss: np.ndarray) -> list[int]:
-    """Choose the better half of the runs, without those in the same place.
+    """Choose the better half of the runs, without those with the same solution.
 
     residual: (R, N). loss: (R,). Returns indices, best first.
     """
     count = max(len(loss) // 2, MIN_FINALISTS)
     better = np.argsort(loss, kind="stable")[:count]
-    places = different_places(residual[better], loss[better])
-    return [int(better[place]) for place in places]
+    distinct = distinct_solutions(residual[better], loss[better])
+    return [int(better[number]) for number in distinct]
 
 
 def refine_solution(

@@ -69,8 +69,8 @@ MAX_VALUE_STEP = 0.5  # in chi, for steps along a line in values
 LEAST_LOSS_RATIO = 1e-300  # of the loss after a step to that before
 SMALLEST_FLOAT = float(np.finfo(float).tiny)
 
-# Of the residual's root mean square: runs that differ by less are in the same place
-SAME_PLACE_TOLERANCE = 0.1
+# Of the residual's root mean square: runs that differ by less have the same solution
+SAME_SOLUTION_TOLERANCE = 0.1
 
 
 class Problem(Protocol):
@@ -233,19 +233,19 @@ def distinct_starts(problem: Problem, starts: np.ndarray) -> np.ndarray:
     if len(starts) < 2:
         return starts
     residual = problem.residuals(starts)
-    return starts[different_places(residual, huber_loss(residual, problem.limit))]
+    return starts[distinct_solutions(residual, huber_loss(residual, problem.limit))]
 
 
-def different_places(residual: np.ndarray, loss: np.ndarray) -> list[int]:
-    """Find the indices of the best run in each place, the best of all first.
+def distinct_solutions(residual: np.ndarray, loss: np.ndarray) -> list[int]:
+    """Find the indices of the best run with each solution, the best of all first.
 
-    Runs are in the same place if their residuals (R, N) hardly differ. loss: (R,).
+    Runs have the same solution if their residuals (R, N) hardly differ. loss: (R,).
     """
     chosen: list[int] = []
     for run in np.argsort(loss, kind="stable"):
         differences = residual[chosen] - residual[run]
         nearest = np.mean(differences**2, axis=1).min(initial=np.inf)
-        if nearest > SAME_PLACE_TOLERANCE**2 * loss[run]:
+        if nearest > SAME_SOLUTION_TOLERANCE**2 * loss[run]:
             chosen.append(int(run))
     return chosen
 

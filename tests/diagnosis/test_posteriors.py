@@ -479,7 +479,7 @@ def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
     fitted = SimpleNamespace(log_evidence=0.0)
     for name in ("evaluate_fit", "refit"):
         monkeypatch.setattr(posteriors, name, lambda *given: fitted)
-    monkeypatch.setattr(posteriors, "in_different_places", lambda fits: fits[:places])
+    monkeypatch.setattr(posteriors, "distinct_fits", lambda fits: fits[:places])
     monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
     found = posteriors._compare_alternatives(state, cause, (), None, 0)
     assert found is (last if is_known else "compared")
