@@ -65,6 +65,14 @@ class Hypothesis:
         """Find the indices of a cause's amplitudes among all parameters."""
         return self.parameter_indices(cause, amplitude_parameters(cause))
 
+    @property
+    def all_amplitude_indices(self) -> list[int]:
+        """The indices of all causes' amplitudes among all parameters."""
+        indices: list[int] = []
+        for cause in self.causes:
+            indices += self.amplitude_indices(cause)
+        return indices
+
     @cached_property
     def base_indices(self) -> list[int]:
         """The indices of the base model's parameters among all parameters."""

@@ -218,49 +218,46 @@ def evaluate_fit(
         Difference widths (P,) where a fit has chosen them.
     """
     data = data.for_hypothesis(hypothesis)
-    rows = data.residuals(hypothesis.model, chi[None])
-    residuals = [row[0] for row in rows]
+    model = hypothesis.model
+    rows = data.residuals(model, chi[None])
 
     # Log likelihood of the trials
-    by_grid_point = data.log_likelihood_by_grid_point(rows)[:, 0]
+    by_grid_point = data.log_likelihood_by_grid_point(rows)[:, 0]  # (K, W S)
     grid_points = most_likely_grid_point(by_grid_point)
-    by_trial = marginal_log_likelihood(by_grid_point)
+    by_trial = marginal_log_likelihood(by_grid_point)  # (K,)
 
     # Slopes, and residuals without each of the A amplitudes
-    amplitudes: list[int] = []
-    for cause in hypothesis.causes:
-        amplitudes += hypothesis.amplitude_indices(cause)
+    amplitudes = hypothesis.all_amplitude_indices
     absent = hypothesis.exponents_from({})
     is_absent = np.eye(len(chi), dtype=bool)[amplitudes]  # (A, P)
     without_one = np.where(is_absent, absent, chi)
     if width is None:  # trial differences give the scale of the slopes
         width = np.full(len(chi), solver.FIRST_DIFFERENCE)
-        slopes, _ = _residual_slopes(data, hypothesis.model, chi, width, without_one)
+        slopes, _ = _residual_slopes(data, model, chi, width, without_one)
         white = data.whiten(slopes, grid_points)
         width = solver.difference_widths(white[None], np.ones(1))[0]
-    slopes, others = _residual_slopes(data, hypothesis.model, chi, width, without_one)
+    slopes, others = _residual_slopes(data, model, chi, width, without_one)
 
     # Log prior of the amplitudes
-    tip_shifts = data.overall_tip_rms(subtract_by_trial(residuals, others))
-    tip_slopes = data.overall_tip_rms([slope[amplitudes] for slope in slopes])
+    residuals = [row[0] for row in rows]
+    tip_shifts_m = data.overall_tip_rms(subtract_by_trial(residuals, others))
+    tip_slopes_m = data.overall_tip_rms([slope[amplitudes] for slope in slopes])
     prior = 0.0
-    for number, index in enumerate(amplitudes):
-        prior += log_prior(
-            hypothesis.parameters[index],
-            abs(chi[index] - absent[index]),
-            tip_shifts[number],
-            tip_slopes[number],
-        )
+    for index, shift_m, slope_m in zip(
+        amplitudes, tip_shifts_m, tip_slopes_m, strict=True
+    ):
+        distance = abs(chi[index] - absent[index])
+        prior += log_prior(hypothesis.parameters[index], distance, shift_m, slope_m)
 
     # Log volume of the posterior
     precision = np.full(len(chi), PRIOR_PRECISION)
     precision[amplitudes] = AMPLITUDE_PRECISION
-    white_slopes = data.whiten(slopes, grid_points)
-    curvature = white_slopes @ white_slopes.T + np.diag(precision)
+    white_slopes = data.whiten(slopes, grid_points)  # (P, N)
+    curvature = white_slopes @ white_slopes.T + np.diag(precision)  # (P, P)
     volume = log_volume(curvature)
 
     # Predicted gain of one more step
-    white_residual = data.whiten([row[:1] for row in rows], grid_points)[0]
+    white_residual = data.whiten([row[:1] for row in rows], grid_points)[0]  # (N,)
     gradient = white_slopes @ white_residual
     base = hypothesis.base_indices
     gradient[base] += PRIOR_PRECISION * (chi[base] - 0.5)
@@ -273,8 +270,8 @@ def evaluate_fit(
         width,
         grid_points,
         by_trial,
-        float(by_trial.sum() + prior + volume),
-        solver.predicted_gain(curvature, gradient, chi),
+        log_evidence=float(by_trial.sum() + prior + volume),
+        log_evidence_error=solver.predicted_gain(curvature, gradient, chi),
     )
 
 
