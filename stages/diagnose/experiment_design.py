@@ -131,14 +131,17 @@ class Rivals:
         log_odds = np.full((count, count), np.inf)
         predicted = {names[0]: residuals[0]}
         for true, other in permutations(range(count), 2):
-            difference = residuals[other] - residuals[true]
-            white = trial.whiten([difference[None]], grid_points)[0]
-            white_slopes = trial.whiten([slopes[other]], grid_points)
+            # The parameters of the other rival imitate the true one by a step
+            difference = residuals[other] - residuals[true]  # (2 n,)
+            white = trial.whiten([difference[None]], grid_points)[0]  # (N,)
+            white_slopes = trial.whiten([slopes[other]], grid_points)  # (P, N)
             normal = self.informations[other] + white_slopes @ white_slopes.T
             step = -np.linalg.solve(normal, white_slopes @ white)
+            nearest = residuals[other] + step @ slopes[other]
+
+            # White d' times the rest is m (Woodbury identity)
             remainder = white + step @ white_slopes
             log_odds[true, other] = 0.5 * float(white @ remainder)
-            nearest = residuals[other] + step @ slopes[other]
             difference_m = trial.tip_rms_by_trial([nearest - residuals[true]])
             if remainder_hides(float(difference_m[0]), self.remainder_m):
                 log_odds[true, other] = 0.0

@@ -117,22 +117,27 @@ def effects_left_out(
     has_no_joints = any(isinstance(trial.motion, HandMotion) for trial in trials)
     reasons = {}
     for name, effect in library.items():
-        reason = ""
-        if effect in base.effects:
-            reason = "it is part of the base model"
-        elif name in excluded:
+        reason = _reason_to_leave_out(effect, base, has_no_joints)
+        if name in excluded and effect not in base.effects:
             reason = "diagnose.excluded_effects names it"
-        elif effect.exclusion_reason:
-            reason = effect.exclusion_reason
-        elif issubclass(effect, ModelChange):
-            reason = "it is a numerical error, which is computed"
-        elif issubclass(effect, CameraEffect) and effect.corrected_by_calibration:
-            reason = "the calibrated lens corrects it" if base.camera.lens else ""
-        elif issubclass(effect, HandEffect) and "grasp" not in effect.laws():
-            reason = "it acts on joints, which no trial states" if has_no_joints else ""
         if reason:
             reasons[name] = reason
     return reasons
+
+
+def _reason_to_leave_out(effect: type[Effect], base: Model, has_no_joints: bool) -> str:
+    """Return the reason why trials cannot show an effect; empty if they can."""
+    if effect in base.effects:
+        return "it is part of the base model"
+    if effect.exclusion_reason:
+        return effect.exclusion_reason
+    if issubclass(effect, ModelChange):
+        return "it is a numerical error, which is computed"
+    if issubclass(effect, CameraEffect) and effect.corrected_by_calibration:
+        return "the calibrated lens corrects it" if base.camera.lens else ""
+    if issubclass(effect, HandEffect) and "grasp" not in effect.laws():
+        return "it acts on joints, which no trial states" if has_no_joints else ""
+    return ""
 
 
 def propose_causes(
