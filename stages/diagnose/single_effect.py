@@ -9,6 +9,7 @@ Gelman, Bayesian Analysis 13, 917, 2018).
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,7 +21,7 @@ from stringcast.stages.diagnose.measures import tip_shift_rms, unexplained_tip_r
 from stringcast.stages.diagnose.probabilities import effect_probabilities
 from stringcast.stages.diagnose.rules import is_inside_range, remainder_hides
 from stringcast.stages.diagnose.selection_step import SelectionStep, by_evidence
-from stringcast.stages.inference.laplace import Fit
+from stringcast.stages.inference.laplace import Fit, log_size_prior
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 
 log = logging.getLogger(__name__)
@@ -97,8 +98,9 @@ def single_effect_posterior(
     If there are fits on common data, only these compete. A cause at the end of its
     range does not compete, because it probably stands for another one. The probability
     of effects below the smallest tip shift is added to that of none. Effects that
-    differ by less than the unexplained misfit are equally probable. So are those with
-    which trials cannot be simulated well enough.
+    differ by less than the unexplained misfit share their probability in proportion to
+    the prior of their sizes. So do those with which trials cannot be simulated well
+    enough.
 
     Parameters
     ----------
@@ -170,8 +172,9 @@ def _shared_probabilities(
     Returns
     -------
     dict of str to float
-        Equal probabilities of the most probable effect, of those that differ from it at
-        the tip by no more than its misfit, and of unresolved ones.
+        Probabilities of the most probable effect, of those that differ from it at the
+        tip by no more than its misfit, and of unresolved ones, in proportion to the
+        prior of their sizes.
     """
     names = [name for name in probabilities if name]
     if len(names) < 2:
@@ -183,8 +186,15 @@ def _shared_probabilities(
         difference_m = rms(tip_shift_rms(data, best, fits[name]))
         if name in unresolved or remainder_hides(difference_m, remainder_m):
             similar.append(name)
-    share = sum(probabilities[name] for name in similar) / len(similar)
-    return dict.fromkeys(similar, share)
+    together = sum(probabilities[name] for name in similar)
+    priors = {name: size_prior(fits[name]) for name in similar}
+    total = sum(priors.values())
+    return {name: together * prior / total for name, prior in priors.items()}
+
+
+def size_prior(fit: Fit) -> float:
+    """Compute the prior density of the last cause's size, relative to a small one."""
+    return math.exp(log_size_prior(fit.hypothesis, fit.hypothesis.causes[-1], fit.chi))
 
 
 def inclusion_probabilities(

@@ -10,6 +10,8 @@ integrated out (`discrepancy`). H is the curvature at the best theta.
 The prior of a cause's amplitude is a prior of its tip shift [m]: the root mean square,
 over all frames of all trials, of the tip displacement that it causes. It is a mixture
 of half-normals. So units do not matter, and a cause that moves nothing has no penalty.
+It is multiplied by the density of the cause's size in its own unit, relative to that of
+a small one (`log_size_prior`): a wind of 3 m/s is less common than a draught.
 
 All other exponents have uniform priors in [0, 1]. In H, and for the base model also in
 the fit, a normal of the same variance replaces them: it gives a finite volume to
@@ -248,6 +250,8 @@ def evaluate_fit(
     ):
         distance = abs(chi[index] - absent[index])
         prior += log_prior(hypothesis.parameters[index], distance, shift_m, slope_m)
+    for cause in hypothesis.causes:
+        prior += log_size_prior(hypothesis, cause, chi)
 
     # Log volume of the posterior
     precision = np.full(len(chi), PRIOR_PRECISION)
@@ -311,6 +315,24 @@ def tip_shift_density(tip_shift: np.ndarray, amplitude: Parameter) -> np.ndarray
     normal = np.exp(-0.5 * (tip_shift[..., None] / TIP_SHIFT_WIDTHS_M) ** 2)
     density = np.sqrt(2 / np.pi) / TIP_SHIFT_WIDTHS_M * normal
     return np.asarray(density.mean(axis=-1) * (0.5 if is_two_sided else 1.0))
+
+
+def log_size_prior(
+    hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
+) -> float:
+    """Compute the log density of a cause's size, relative to that of a small one.
+
+    Amplitudes have a Cauchy distribution with their typical sizes: small ones are
+    common, and large ones possible (Gelman et al., Ann. Appl. Stat. 2, 1360, 2008).
+
+    chi: exponents (P,).
+    """
+    squares = 0.0
+    for index in hypothesis.amplitude_indices(cause):
+        parameter = hypothesis.parameters[index]
+        distance = float(parameter.value(chi[index])) - parameter.start
+        squares += (distance / parameter.typical_size) ** 2
+    return -float(np.log1p(squares))
 
 
 def log_volume(curvature: np.ndarray) -> float:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+TYPICAL_FRACTION = 0.1  # of its range, within which half of an amplitude's values lie
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -35,6 +37,9 @@ class Parameter:
         Whether the data only bound the parameter from below.
     min_amplitude : float
         For an amplitude: a nonzero value below this has another physical cause.
+    typical_size : float
+        For an amplitude: distance from the start within which half of its values lie
+        in practice; by default a tenth of the range on one side of the start.
     """
 
     name: str
@@ -48,6 +53,13 @@ class Parameter:
     root: int = 1
     is_lower_bound: bool = False
     min_amplitude: float = 0.0
+    typical_size: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Set the default of `typical_size`."""
+        if not self.typical_size:
+            reach = max(self.high - self.start, self.start - self.low)
+            object.__setattr__(self, "typical_size", TYPICAL_FRACTION * reach)
 
     def value(self, chi: np.ndarray) -> np.ndarray:
         """Return the values at exponents chi in [0, 1], in any shape."""

@@ -221,13 +221,20 @@ def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
     return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
-def posterior_of_place(monkeypatch, gains, difference_m, error=0.0, unresolved=()):
+def posterior_of_place(
+    monkeypatch, gains, difference_m, error=0.0, unresolved=(), size_priors=None
+):
     """Compute the posterior of a place, with 1 m at each tip left unexplained.
 
     gains : in log evidence, and in log-likelihood of each trial, by effect
     difference_m : between the effects at each tip, and to their parent
     error : of the log evidence of the effects
+    size_priors : of the effects by name, if they are not the same
     """
+    sizes = dict.fromkeys(gains, 1.0) | (size_priors or {})
+    monkeypatch.setattr(
+        single_effect, "size_prior", lambda fit: sizes[fit.hypothesis.causes[0].name]
+    )
     monkeypatch.setattr(
         single_effect,
         "background_log_evidence_gains",
@@ -270,6 +277,20 @@ def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
     assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
     assert posterior.ranked_causes[0] == "wind"
+
+
+def test_an_effect_of_common_size_has_more_of_the_probability_of_look_alikes(
+    monkeypatch,
+):
+    """Wind has the higher evidence, but the misfit may be just this difference."""
+    monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
+    gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
+    sizes = {"tilt": 0.6, "wind": 0.2}
+    alike = posterior_of_place(monkeypatch, gains, 0.9, size_priors=sizes)
+    assert alike.probabilities["tilt"] == pytest.approx(0.75, abs=1e-6)
+    assert alike.probabilities["wind"] == pytest.approx(0.25, abs=1e-6)
+    distinct = posterior_of_place(monkeypatch, gains, 1.1, size_priors=sizes)
+    assert distinct.probabilities["wind"] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):

@@ -27,7 +27,7 @@ from stringcast.stages.inference.search import horizons
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.library import find_effects
-from stringcast.stages.model.parameter import Parameter
+from stringcast.stages.model.parameter import Parameter, parameter_exponents
 from stringcast.stages.model.statics.chain import GRAVITY_M_S2
 
 TipMass, Wind = find_effects(["tip_mass", "wind"])
@@ -58,6 +58,20 @@ def test_the_prior_of_an_exponent_is_that_of_its_tip_shift():
     density = laplace.tip_shift_density(np.asarray(0.0), ONE_SIDED)
     assert found == pytest.approx(np.log(density * 0.5))
     assert laplace.log_prior(ONE_SIDED, 0.5, 9.0, 0.5) == np.log(np.finfo(float).tiny)
+
+
+@pytest.mark.parametrize(
+    ("along_x", "along_y", "relative"),
+    [(0.0, 0.0, 1.0), (0.3, 0.0, 1 / 2), (-0.3, 0.3, 1 / 3), (3.0, 0.0, 1 / 101)],
+)
+def test_a_draught_is_more_common_than_a_wind(along_x, along_y, relative):
+    """Half of all draughts are slower than 0.3 m/s, a tenth of the range."""
+    hypothesis = SimpleNamespace(
+        parameters=Wind.parameters, amplitude_indices=lambda cause: [0, 1]
+    )
+    chi = parameter_exponents(Wind.parameters, np.array([along_x, along_y]))
+    found = laplace.log_size_prior(hypothesis, Wind, chi)
+    assert found == pytest.approx(np.log(relative))
 
 
 def test_slopes_of_a_diverging_simulation_are_zero():

@@ -42,6 +42,7 @@ class Contact(StringEffect):
             root=2,
             is_lower_bound=True,
             min_amplitude=SOFTEST_PER_S2,
+            typical_size=1.0e7,  # any stiffness is common
         ),
         Parameter(
             "height",

@@ -29,6 +29,7 @@ class EqualPoints(StringEffect):
             0.0,
             0.06,
             0.0,
+            typical_size=0.03,  # of 18 points
         ),
     )
     reference = "Tabata et al., IROS 2021, Eq. 1: every mass point has the same mass"

@@ -32,6 +32,7 @@ class RollingShutter(CameraEffect):
             -0.02,
             0.02,
             0.0,
+            typical_size=0.01,
         ),
         Parameter(
             "stamped",
