@@ -27,9 +27,9 @@ from stringcast.stages.model.library import effects_by_name
         ("tip_mass", (0.0,), True),  # absent
         # a stiffness is only a lower bound; friction and loss are not amplitudes
         ("contact", (1.0, 0.5, 0.5, 1.0, 1.0), True),
-        # a string at rest sinks 0.2 m into it, or 0.05 m
-        ("contact", ((49 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), False),
-        ("contact", ((196 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), True),
+        # a string at rest sinks 20 mm into it, or 5 mm
+        ("contact", ((490 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), False),
+        ("contact", ((1960 / 1e7) ** 0.5, 0.5, 0.5, 0.5, 0.5), True),
     ],
 )
 def test_an_amplitude_at_an_end_of_its_range_is_not_a_finding(name, chi, is_inside):

@@ -423,7 +423,7 @@ def test_effects_have_descriptions_and_plots(effect):
 
 
 @pytest.mark.parametrize(
-    ("stiffness", "said"), [(140.0, "sinks 70 mm into it"), (1e5, "turned 0 degrees")]
+    ("stiffness", "said"), [(1400.0, "sinks 7 mm into it"), (1e5, "turned 0 degrees")]
 )
 def test_an_unusually_soft_plane_is_described_as_soft(stiffness, said):
     """A plane that is unusually soft is reported as soft.

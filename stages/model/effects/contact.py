@@ -12,8 +12,8 @@ from stringcast.stages.model.effect import (
     vanishes_at_zero,
 )
 
-# A string at rest sinks in by 0.1 m. A softer plane is rather a field of force.
-SOFTEST_PER_S2 = 98.1
+# A string at rest sinks in by 10 mm. A softer plane is rather a field of force.
+SOFTEST_PER_S2 = 981.0
 
 
 class Contact(StringEffect):
