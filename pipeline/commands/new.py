@@ -5,8 +5,9 @@ from __future__ import annotations
 import keyword
 import re
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name
@@ -24,20 +25,68 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import NAME_PATTERN
 
 DEFAULT_PLUGIN = Path("my_lab")
-# places where the package may use a name
-PACKAGE_PLACES = {
-    "arm": ("conf/arm/{}.yaml",),
-    "camera": ("conf/camera/{}.yaml",),
-    "effect": ("stages/model/effects/{}.py",),
-    "estimator": ("conf/estimate/{}.yaml",),
-    "stage": ("stages/{}", "conf/{}"),
+
+
+class Kind(NamedTuple):
+    """What `new` writes.
+
+    files: templates by path within the plugin. example: arguments of a run with them.
+    places: where the package may use the name.
+    """
+
+    files: Mapping[str, str]
+    example: str
+    places: Sequence[str]
+
+
+def copied_settings(group: str, like: str) -> str:
+    """Return the template of an option of a group, as a copy of another option."""
+    text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
+    settings = [line for line in text.splitlines() if not line.startswith("#")]
+    literal = "\n".join(settings).replace("{", "{{").replace("}", "}}")
+    return f"# {{name}}: a copy of {like}. Change what is different.\n{literal}\n"
+
+
+KINDS = {
+    "arm": Kind(
+        {"conf/arm/{name}.yaml": copied_settings("arm", "paper")},
+        "+experiment=quick arm={name}",
+        ["conf/arm/{name}.yaml"],
+    ),
+    "camera": Kind(
+        {"conf/camera/{name}.yaml": copied_settings("camera", "highspeed")},
+        "+experiment=stringB method=robust camera={name}",
+        ["conf/camera/{name}.yaml"],
+    ),
+    "effect": Kind(
+        {"effects/{name}.py": EFFECT_TEMPLATE},
+        "+experiment=quick 'effects=[{name}]' estimate=least_squares",
+        ["stages/model/effects/{name}.py"],
+    ),
+    "estimator": Kind(
+        {
+            "estimate/{name}.py": ESTIMATOR_TEMPLATE,
+            "conf/estimate/{name}.yaml": ESTIMATOR_SETTINGS_TEMPLATE,
+        },
+        "+experiment=quick estimate={name}",
+        ["conf/estimate/{name}.yaml"],
+    ),
+    "stage": Kind(
+        {
+            "stages/{name}/__init__.py": STAGE_TEMPLATE,
+            "stages/{name}/{name}.py": FUNCTION_TEMPLATE,
+            "conf/{name}/plain.yaml": SETTINGS_TEMPLATE,
+        },
+        "+{name}=plain mode=batch mode.stage={name} trials=data/sample",
+        ["stages/{name}", "conf/{name}"],
+    ),
 }
 
 
 def main(arguments: Sequence[str]) -> int:
     """Write the files and return the exit status 0."""
     parser = CommandParser("python -m pipeline new", description=__doc__)
-    parser.add_argument("kind", choices=list(FILES_OF_KIND), help="what to write")
+    parser.add_argument("kind", choices=list(KINDS), help="what to write")
     parser.add_argument("name", help="name of small letters, digits and _")
     parser.add_argument(
         "--to",
@@ -50,17 +99,28 @@ def main(arguments: Sequence[str]) -> int:
     name: str = options.name
     plugin: Path = options.to.resolve()
     refuse_odd_names(kind, name, plugin)
-    texts, example = FILES_OF_KIND[kind](name, plugin.name)
-    files = {plugin / path: text for path, text in texts.items()}
-    refuse_taken_name(kind, name, list(files))
-    for file, text in files.items():
+    texts = fill_templates(kind, name, plugin.name)
+    files = [plugin / path for path in texts]
+    refuse_taken_name(kind, name, files)
+    for file, text in zip(files, texts.values(), strict=True):
         write_text(file, text)
     console = Terminal()
     for file in files:
         console.print_line(f"Written: {shown_path(file)}")
+    example = KINDS[kind].example.format(name=name)
     setting = shlex.quote(f"plugins=[{shown_path(plugin)}]")
     console.print_line(f"Try it: {program_name()} {setting} {example}")
     return 0
+
+
+def fill_templates(kind: str, name: str, plugin: str) -> dict[str, str]:
+    """Return the texts of the files of a kind, by path within the plugin."""
+    class_name = "".join(part.capitalize() for part in name.split("_"))
+    words = {"name": name, "Name": class_name, "plugin": plugin}
+    return {
+        path.format(**words): template.format(**words)
+        for path, template in KINDS[kind].files.items()
+    }
 
 
 def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
@@ -79,7 +139,7 @@ def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
 def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
     """Raise UserError if a file exists, or the package uses the name."""
     package = CONF_FOLDER.parent
-    places = [package / path.format(name) for path in PACKAGE_PLACES[kind]]
+    places = [package / path.format(name=name) for path in KINDS[kind].places]
     for place in (*files, *places):
         if place.exists():
             raise UserError(f"{place}: it is there already. Choose another name.")
@@ -103,66 +163,3 @@ def nearest_module_name(name: str) -> str:
 def shown_path(path: Path) -> Path:
     """Return a path relative to the current folder, if it lies in it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
-
-
-Files = dict[str, str]  # texts by path within the plugin
-
-
-def arm_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return settings of an arm, copied from the paper's arm."""
-    return copied_settings("arm", name, "paper"), f"+experiment=quick arm={name}"
-
-
-def camera_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return settings of a camera, copied from the paper's camera."""
-    files = copied_settings("camera", name, "highspeed")
-    return files, f"+experiment=stringB method=robust camera={name}"
-
-
-def copied_settings(group: str, name: str, like: str) -> Files:
-    """Return an option of a group of settings, as a copy of another option."""
-    text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
-    settings = [line for line in text.splitlines() if not line.startswith("#")]
-    heading = f"# {name}: a copy of {like}. Change what is different."
-    return {f"conf/{group}/{name}.yaml": "\n".join([heading, *settings, ""])}
-
-
-def effect_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return the file of an effect."""
-    files = {f"effects/{name}.py": fill_template(EFFECT_TEMPLATE, name, plugin)}
-    return files, f"+experiment=quick 'effects=[{name}]' estimate=least_squares"
-
-
-def estimator_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return an estimator: a function and an option of a group of settings."""
-    settings = fill_template(ESTIMATOR_SETTINGS_TEMPLATE, name, plugin)
-    files = {
-        f"estimate/{name}.py": fill_template(ESTIMATOR_TEMPLATE, name, plugin),
-        f"conf/estimate/{name}.yaml": settings,
-    }
-    return files, f"+experiment=quick estimate={name}"
-
-
-def stage_files(name: str, plugin: str) -> tuple[Files, str]:
-    """Return a stage: a folder and a group of settings."""
-    files = {
-        f"stages/{name}/__init__.py": fill_template(STAGE_TEMPLATE, name, plugin),
-        f"stages/{name}/{name}.py": fill_template(FUNCTION_TEMPLATE, name, plugin),
-        f"conf/{name}/plain.yaml": fill_template(SETTINGS_TEMPLATE, name, plugin),
-    }
-    return files, f"+{name}=plain mode=batch mode.stage={name} trials=data/sample"
-
-
-FILES_OF_KIND: dict[str, Callable[[str, str], tuple[Files, str]]] = {
-    "arm": arm_files,
-    "camera": camera_files,
-    "effect": effect_files,
-    "estimator": estimator_files,
-    "stage": stage_files,
-}
-
-
-def fill_template(text: str, name: str, plugin: str) -> str:
-    """Fill names into a template, also as a class name."""
-    class_name = "".join(part.capitalize() for part in name.split("_"))
-    return text.format(name=name, Name=class_name, plugin=plugin)

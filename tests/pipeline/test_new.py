@@ -28,7 +28,7 @@ from tests.laws.test_effects import law_of, samples
     ("kind", "made", "like"), [("arm", Arm, "paper"), ("camera", Camera, "highspeed")]
 )
 def test_new_arm_and_camera_are_commented_settings(kind, made, like):
-    ((path, text),) = new.FILES_OF_KIND[kind]("mine", "my_lab")[0].items()
+    ((path, text),) = new.fill_templates(kind, "mine", "my_lab").items()
     assert path == f"conf/{kind}/mine.yaml"
     assert yaml.safe_load(text) == yaml.safe_load(
         (CONF_FOLDER / kind / f"{like}.yaml").read_text()
@@ -68,7 +68,7 @@ def test_new_files_are_written_to_my_lab_in_the_current_folder(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    for kind in new.FILES_OF_KIND:
+    for kind in new.KINDS:
         assert new.main([kind, f"my_{kind}"]) == 0
     written = re.findall(r"Written: (.*)", capsys.readouterr().out)
     assert len(written) == 8
