@@ -91,7 +91,7 @@ def list_runs(folder: Path) -> pd.DataFrame:
     console = Terminal(stderr=True)
     rows = []
     for run in track(sorted(runs), "index", console=console, transient=True):
-        rows.append({"run": run.relative_to(folder).as_posix()} | run_row(run))
+        rows.append(run_row(run) | {"run": run.relative_to(folder).as_posix()})
     return RUNS_TABLE.from_rows(rows)
 
 
@@ -161,19 +161,10 @@ def run_row(run: Path) -> dict[str, Any]:
         return row
     except Exception as error:  # a foreign run may be damaged in any way
         reason = str(error) if isinstance(error, DataError) else repr(error)
-        return {
-            "experiment": "",
-            "outcome": "",
-            "causes": "",
-            "date": "",
-            "iterations": 0,
-            "best_E": float("nan"),
-            "seconds": 0.0,
-            "state": "damaged",
-            "stale": "",
-            "not_kept": "",
-            "message": reason,
-        }
+        texts = [c.name for c in RUNS_TABLE.columns if c.kind == "text"]
+        numbers = {"iterations": 0, "best_E": float("nan"), "seconds": 0.0}
+        said = {"state": "damaged", "message": reason}
+        return dict.fromkeys(texts, "") | numbers | said
 
 
 def printable_table(runs: pd.DataFrame) -> TerminalTable:

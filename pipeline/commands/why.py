@@ -18,6 +18,7 @@ from stringcast.pipeline.commands.stored_runs import read_stored_settings, run_f
 from stringcast.pipeline.modes.stepwise import Stepwise
 from stringcast.pipeline.run.file_names import SUMMARY_FILE, artifact_folder
 from stringcast.pipeline.run.provenance import arm_has_executed, stale_reasons
+from stringcast.pipeline.run.stage_graph import StageGraph
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.named_plugins import use_stored_plugins
 from stringcast.pipeline.settings.stage_registry import stages
@@ -44,14 +45,14 @@ def main(arguments: list[str]) -> int:
     settings = read_stored_settings(folder)
     use_stored_plugins(settings, str(folder / "config.json"))
     try:
-        states = step_states(settings, folder)
+        mode = build_chosen(settings["mode"], "mode", "config.json")
+        states = step_states(mode.graph(settings), settings, folder)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(
             f"{folder / 'config.json'}: it does not hold the settings of a run "
             f"({error!r}). Restore it; another version of this code may have made it."
         ) from error
     names = [name for name in states if chosen in (".", name)]
-    mode = build_chosen(settings["mode"], "mode", "config.json")
     if not names and chosen == "." and isinstance(mode, Stepwise):
         raise UserError(
             f"{folder}: the run has made no step yet. Continue it: "
@@ -72,24 +73,14 @@ def main(arguments: list[str]) -> int:
     return int(any(states[name] != FRESH_STEP for name in names))
 
 
-def step_states(settings: Mapping[str, Any], folder: Path) -> dict[str, StepState]:
-    """Return the state of each step of a run, including the effect of its inputs.
+def step_states(
+    graph: StageGraph, settings: Mapping[str, Any], folder: Path
+) -> dict[str, StepState]:
+    """Return the state of each step of a run, by its folder within the run.
 
-    The next step of an unfinished cast is included as missing.
-
-    Parameters
-    ----------
-    settings : mapping
-        All settings of the run.
-    folder : Path
-        Folder of the run.
-
-    Returns
-    -------
-    dict
-        States and reasons by the step's folder within the run.
+    A step with a stale input is stale. The next step of an unfinished cast is included
+    as missing.
     """
-    graph = build_chosen(settings["mode"], "mode", "config.json").graph(settings)
     makers = {stages()[name].folder: name for name in graph.stages}
     places = step_folders(folder)
     inputs = step_inputs(places)
