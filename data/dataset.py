@@ -113,22 +113,11 @@ def write_dataset(
     metadata: Mapping[str, Any],
     origin: Mapping[str, Any],
 ) -> None:
-    """Write the trials of a run as a dataset.
+    """Write trials of a run, with their points, as a dataset.
 
-    Each file is replaced whole, `dataset.yaml` last.
-
-    Parameters
-    ----------
-    folder
-        The folder of the dataset.
-    trials
-        Trials and their points by name.
-    trial_folders
-        The folder of each trial's frames, relative to `folder`.
-    metadata
-        The content of dataset.yaml, without the format.
-    origin
-        Origin of the trials, written to every footer.
+    Each file is replaced whole, `dataset.yaml` last. `trial_folders` are the folders of
+    the frames, relative to `folder`. `metadata` is the content of dataset.yaml without
+    the format. `origin` is written to every footer.
     """
     parts: dict[Table, list[pd.DataFrame]] = {table: [] for table in RUN_TABLES}
     for name, (trial, points) in trials.items():
@@ -146,22 +135,10 @@ def write_dataset(
 
 
 def read_dataset(folder: Path) -> Dataset:
-    """Read a dataset, without damaged rows.
+    """Read a run's folder, or one in the data format, without damaged rows.
 
-    Parameters
-    ----------
-    folder
-        A run's folder, or one in the data format.
-
-    Returns
-    -------
-    Dataset
-        All trials, with the reasons why some cannot be used.
-
-    Raises
-    ------
-    DataError
-        If a file is missing or damaged; it names the file and the remedy.
+    Trials that cannot be used are listed with the reasons. Raises DataError if a file
+    is missing or damaged; it names the file and the remedy.
     """
     if folder.is_file():
         raise DataError(
@@ -340,19 +317,9 @@ def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:
 
 
 def exclude_stray_points(data: Dataset, length: float) -> Dataset:
-    """Exclude points beyond the end of the string.
+    """Exclude points beyond the end of a string of this length [m].
 
-    Parameters
-    ----------
-    data
-        The dataset.
-    length
-        Length of the string [m].
-
-    Returns
-    -------
-    Dataset
-        The dataset without stray points, and without trials that have many of them.
+    Trials with many of them are excluded whole.
     """
     trials = {}
     faults = dict(data.unusable)

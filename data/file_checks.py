@@ -319,12 +319,7 @@ def _refuse_unnamed_values(path: Path, named: int, options: dict[str, Any]) -> N
 def text_options(names: Iterable[str], texts: Collection[str]) -> dict[str, Any]:
     """Return options of `read_frame` that keep some columns as texts, as in NA and 01.
 
-    Parameters
-    ----------
-    names
-        All columns.
-    texts
-        Columns of text, in which only an empty cell is missing.
+    `names` are all columns. In columns of text, only an empty cell is missing.
     """
     missing = {}
     kinds = {}
@@ -338,28 +333,10 @@ def text_options(names: Iterable[str], texts: Collection[str]) -> dict[str, Any]
 def read_parquet(
     path: Path, remedy: str, needed: Collection[str] = ()
 ) -> tuple[pd.DataFrame, dict[bytes, bytes]]:
-    """Check a Parquet file and read its plain columns.
+    """Check a Parquet file; return its columns of single values and its metadata.
 
-    Parameters
-    ----------
-    path
-        The file.
-    remedy
-        What to do about a damaged file, for the message.
-    needed
-        Columns that must hold one value per row.
-
-    Returns
-    -------
-    frame : pandas.DataFrame
-        The columns that hold one value per row.
-    metadata : dict
-        The metadata of the file.
-
-    Raises
-    ------
-    DataError
-        If the file is damaged or does not fit into memory.
+    `remedy` says what to do about a damaged file; `needed` columns must hold one value
+    per row. Raises DataError if the file is damaged or does not fit into memory.
     """
     try:
         columns, texts = check_parquet(path, needed)
@@ -394,29 +371,11 @@ def read_schema(path: Path) -> pa.Schema:
 
 
 def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[str]]:
-    """Check a Parquet file before it is read.
+    """Check a Parquet file; list its columns of single values, and those of texts.
 
     A few bytes may encode 4e8 rows, or the same text of 1 MB in each row. Read texts as
-    dictionaries for that reason.
-
-    Parameters
-    ----------
-    path
-        The file.
-    needed
-        Columns that must hold one value per row.
-
-    Returns
-    -------
-    names : list of str
-        The columns that hold one value per row.
-    texts : list of str
-        The columns among them that hold texts or bytes.
-
-    Raises
-    ------
-    DataError
-        If the file does not fit into memory, or a needed column is nested.
+    dictionaries for that reason. Raises DataError if the file does not fit into memory,
+    or a `needed` column is nested.
     """
     schema = read_schema(path)
     with pq.ParquetFile(path) as file:

@@ -190,22 +190,9 @@ class Metadata(Block):
 
 
 def read_metadata(folder: Path) -> dict[str, Any]:
-    """Read and check dataset.yaml.
+    """Read and check the file dataset.yaml of a folder; empty if there is none.
 
-    Parameters
-    ----------
-    folder
-        The folder of the dataset.
-
-    Returns
-    -------
-    dict
-        The content of the file; empty if there is none.
-
-    Raises
-    ------
-    DataError
-        If a value is wrong; it names the key and the remedy.
+    Raises DataError if a value is wrong; it names the key and the remedy.
     """
     path = folder / DATASET_FILE
     if not path.exists():

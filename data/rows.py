@@ -60,27 +60,11 @@ class RowCounts:
 
 
 def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
-    """Read a table from CSV.
+    """Read a table from CSV, with the types that its schema declares.
 
     Text in a column of numbers becomes NaN if the column holds any number. Names keep
-    their leading zeros.
-
-    Parameters
-    ----------
-    table
-        The schema that the file must fit.
-    path
-        The file.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The table with the declared types.
-
-    Raises
-    ------
-    DataError
-        If the file does not fit; it names the file, the column and the remedy.
+    their leading zeros. Raises DataError if the file does not fit; it names the file,
+    the column and the remedy.
     """
     remedy = "Save it as plain text, UTF-8, with commas."
     names = read_frame(check_csv(path), "CSV", remedy, nrows=0).columns
@@ -190,19 +174,10 @@ def _hand_spikes(frame: pd.DataFrame, columns: Sequence[str]) -> pd.Series:
 
 
 def find_timeless_trials(frame: pd.DataFrame, keys: Sequence[str]) -> dict[str, str]:
-    """Find trials in which many rows of one point share a time.
+    """Describe, by trial, times that many rows of one point share.
 
-    Parameters
-    ----------
-    frame
-        Rows without repetitions.
-    keys
-        Columns that should identify a row, `t` among them.
-
-    Returns
-    -------
-    dict
-        Descriptions by trial.
+    `frame` holds rows without repetitions; `keys` are the columns that should identify
+    a row, `t` among them.
     """
     places = [name for name in keys if name != "t"]
     if len(places) == len(keys):

@@ -66,16 +66,8 @@ COLUMN_LINE = re.compile(
 def parse_columns(text: str) -> tuple[Column, ...]:
     """Parse the columns of a schema, one a line.
 
-    Parameters
-    ----------
-    text
-        Lines such as ``count [1] (int, optional): how many motions``. A line that is
-        indented farther continues the previous one. The default kind is float.
-
-    Returns
-    -------
-    tuple of Column
-        The columns in the order of the lines.
+    A line is such as ``count [1] (int, optional): how many motions``. One that is
+    indented farther continues the previous one. The default kind is float.
     """
     columns = []
     for line in re.sub(r"\n +", " ", dedent(text)).strip().splitlines():
@@ -108,24 +100,10 @@ class Table:
         return pa.schema(fields, metadata={"table": self.name, "meaning": self.meaning})
 
     def check(self, frame: pd.DataFrame, source: str = "memory") -> pd.DataFrame:
-        """Give a frame the declared types and order of columns.
+        """Give a frame the declared types and order of columns; unknown ones come last.
 
-        Parameters
-        ----------
-        frame
-            Any frame with the columns that are not optional.
-        source
-            Name of its source, for messages.
-
-        Returns
-        -------
-        pandas.DataFrame
-            The known columns, then the unchanged others.
-
-        Raises
-        ------
-        DataError
-            If a column is missing or a value has the wrong type.
+        `source` names the frame in messages. Raises DataError if a column is missing or
+        a value has the wrong type.
         """
         missing = []
         typed = {}

@@ -57,22 +57,11 @@ class Origin(BaseModel):
 
 
 def save(artifact: Any, folder: Path, origin: Mapping[str, Any]) -> None:
-    """Write an artifact as a folder, replacing an existing one.
+    """Write an artifact, such as a `Trial`, as a folder, replacing an existing one.
 
-    Parameters
-    ----------
-    artifact
-        A dataclass with `TABLES`, such as `Trial`.
-    folder
-        The folder to write.
-    origin
-        Origin of the artifact as JSON values, written to the footer of every table.
-
-    Raises
-    ------
-    DataError
-        If the folder cannot be written; a former folder stays. Only a kill between the
-        two renames of a replacement leaves neither.
+    `origin` holds JSON values for the footer of every table. Raises DataError if the
+    folder cannot be written; a former folder stays. Only a kill between the two renames
+    of a replacement leaves neither.
     """
     with write_atomically(folder) as part:
         disk.make_folder(part)
@@ -100,24 +89,9 @@ def _save_images(artifact: Any, folder: Path) -> Any:
 
 
 def load(kind: type[Artifact], folder: Path) -> Artifact:
-    """Read an artifact from its folder.
+    """Read an artifact from its folder; images are read on first use.
 
-    Parameters
-    ----------
-    kind
-        The class of the artifact, with `TABLES`.
-    folder
-        The folder that holds it.
-
-    Returns
-    -------
-    Artifact
-        The artifact; images are read on first use.
-
-    Raises
-    ------
-    DataError
-        If a file is missing or damaged; it names the file and the remedy.
+    Raises DataError if a file is missing or damaged; it names the file and the remedy.
     """
     if not folder.is_dir():
         raise DataError(
@@ -161,21 +135,8 @@ def write_table(
 ) -> None:
     """Write one table atomically as a Parquet file.
 
-    Parameters
-    ----------
-    table
-        The schema.
-    frame
-        The rows; columns that the schema does not know are kept.
-    path
-        The file to write.
-    origin
-        Origin of the table as JSON values.
-
-    Raises
-    ------
-    DataError
-        If the frame does not fit the schema or the file cannot be written.
+    Columns that the schema does not know are kept. Raises DataError if the frame does
+    not fit the schema, or the file cannot be written.
     """
     with write_atomically(path) as part:
         _write_parquet(table, frame, part, origin)
@@ -184,22 +145,8 @@ def write_table(
 def read_table(table: Table, path: Path) -> pd.DataFrame:
     """Read a Parquet file and check it against a schema.
 
-    Parameters
-    ----------
-    table
-        The schema.
-    path
-        The file.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The rows with the declared types.
-
-    Raises
-    ------
-    DataError
-        If the file does not fit; it names the file, the column and the remedy.
+    Raises DataError if the file does not fit; it names the file, the column and the
+    remedy.
     """
     if not os.path.exists(path):
         raise DataError(

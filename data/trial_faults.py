@@ -105,16 +105,8 @@ def _find_clock_fault(
 ) -> TrialFault | None:
     """Find the reason why the times of a trial cannot be used; None if they can.
 
-    Parameters
-    ----------
-    motion
-        Times of the hand (K,) [s].
-    seen
-        Times at which the string was seen (F,) [s].
-    table
-        Name of the table with the times `seen`.
-    start
-        Offset subtracted from all times [s].
+    `motion` (K,) and `seen` (F,) are times of the hand and of the string [s], less
+    `start`; `table` names that with `seen`.
     """
     if len(seen) < MIN_FRAMES:
         reason = f"the string was seen in {len(seen)} frame(s) only"

@@ -24,23 +24,11 @@ READERS = (lerobot, deeplabcut, deeplabcut_h5, optitrack, mcap, tables)
 
 
 def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
-    """Read all recordings of these files.
+    """Read all recordings of these files, in the order of the files.
 
-    Parameters
-    ----------
-    paths
-        Files of any format in `READERS`, videos, or folders of LeRobot datasets.
-
-    Returns
-    -------
-    list of SourceRecording
-        The recordings in the order of the files.
-
-    Raises
-    ------
-    DataError
-        If a file is missing, damaged or of an unknown format; it names the file and the
-        remedy.
+    They are files of any format in `READERS`, videos, or folders of LeRobot datasets.
+    Raises DataError if one is missing, damaged or of an unknown format; it names the
+    file and the remedy.
     """
     results = []
     for path in paths:

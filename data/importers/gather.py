@@ -110,24 +110,10 @@ class RecordingParts:
 def gather_tables(
     recordings: Sequence[SourceRecording], hints: ColumnHints
 ) -> ImportedTables:
-    """Combine all recordings, matched by trial.
+    """Combine recordings of the hand and of the string, matched by trial.
 
-    Parameters
-    ----------
-    recordings
-        Recordings of the hand and of the string.
-    hints
-        The user's description of the files.
-
-    Returns
-    -------
-    ImportedTables
-        Tables in metres, seconds and radians.
-
-    Raises
-    ------
-    DataError
-        If something is missing or ambiguous.
+    The tables are in metres, seconds and radians. Raises DataError if something is
+    missing or ambiguous.
     """
     _refuse_unknown_columns(recordings, hints)
     films = [recording for recording in recordings if recording.film is not None]

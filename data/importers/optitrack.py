@@ -149,21 +149,8 @@ def join_unlabeled(table: pd.DataFrame, unit: str) -> tuple[pd.DataFrame, list[s
     """Join unlabeled markers to the labelled markers that they continue.
 
     An unlabeled marker is a labelled one that lost its label while it was hidden, or a
-    reflection. Reflections are left out.
-
-    Parameters
-    ----------
-    table
-        Columns such as `tip x [m]` and `Unlabeled 1234 x [m]`.
-    unit
-        End of the names of coordinates, such as ` [m]`.
-
-    Returns
-    -------
-    table : pandas.DataFrame
-        The table without unlabeled markers, if others have labels.
-    notes : list of str
-        What was done with each unlabeled marker.
+    reflection. Reflections are left out. Columns are such as `tip x [m]`; `unit` is the
+    end of their names. Returns the table, and a note about each unlabeled marker.
     """
     columns_of = _position_columns(table, unit)
     lost = [name for name in columns_of if name.lower().startswith(UNLABELED)]

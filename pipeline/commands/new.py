@@ -28,7 +28,7 @@ DEFAULT_PLUGIN = Path("my_lab")
 
 
 class Kind(NamedTuple):
-    """What `new` writes.
+    """A kind of files that `new` writes.
 
     files: templates by path within the plugin. example: arguments of a run with them.
     places: where the package may use the name.
