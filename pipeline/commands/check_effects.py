@@ -29,26 +29,11 @@ from stringcast.stages.model.library import effects_by_name
 def detectable_effects(
     settings: Mapping[str, Any],
 ) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Return the detection limits of a diagnosis of stored trials.
+    """Return the detection limits of a diagnosis of stored trials, with a bar.
 
-    A bar on the terminal shows the progress.
-
-    Parameters
-    ----------
-    settings : mapping
-        All settings of the diagnosis.
-
-    Returns
-    -------
-    limits : list of dict
-        JSON-able rows, one for each size parameter of an effect.
-    not_tried : dict
-        Reasons why other effects were not tried, by name.
-
-    Raises
-    ------
-    DataError, UserError
-        If these trials cannot be diagnosed.
+    Returns JSON-able rows, one for each size parameter of an effect, and the reasons
+    why other effects were not tried, by name. Raises DataError or UserError if these
+    trials cannot be diagnosed.
     """
     experiment = prepare_experiment(settings, lambda block: f"conf/{block}")
     options = experiment.config["diagnose"]

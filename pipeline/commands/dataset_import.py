@@ -348,16 +348,8 @@ def write_dataset(
 ) -> None:
     """Write a dataset as a new folder.
 
-    Parameters
-    ----------
-    imported : ImportedDataset
-        The dataset.
-    folder : Path
-        A new folder.
-    files : sequence of Path
-        The imported files; their hashes are stored.
-    command : str
-        The command that makes the dataset again.
+    The hashes of the imported files are stored, and the command that makes the dataset
+    again.
     """
     disk.make_folder(folder)
     hashes = {file.name: content_hash(file) for file in files}

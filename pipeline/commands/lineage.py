@@ -39,25 +39,10 @@ def add_origin(
     shown: set[Path | str],
     hash_of: Callable[[Path], str],
 ) -> bool:
-    """Add the origin of a file and of all its inputs to a tree.
+    """Add the origin of a file and of all its inputs to a tree or a branch.
 
-    Parameters
-    ----------
-    tree : Tree
-        The tree or branch to add to.
-    place : Path
-        The file or folder.
-    run : Path
-        Folder of its run.
-    shown : set
-        Places and lines already shown; extended here.
-    hash_of : callable
-        Returns the content hash of a path.
-
-    Returns
-    -------
-    bool
-        Whether an input has changed.
+    `run` is the folder of its run; `shown` are places and lines already shown, extended
+    here. Returns whether an input has changed.
     """
     origin = {} if place in shown else origin_of_file(place, run)
     shown.add(place)

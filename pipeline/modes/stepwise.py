@@ -37,10 +37,7 @@ class Stepwise(Mode):
     ) -> RunResult:
         """Run the steps, write the report, and last run.json, which marks completion.
 
-        Raises
-        ------
-        KeyboardInterrupt
-            Instead of writing run.json, if a step was interrupted.
+        If a step was interrupted, raises KeyboardInterrupt instead of writing run.json.
         """
         saved_outputs = experiment.config["saved_outputs"]
         if self.moves_arm(experiment.config) and not (folder / SUMMARY_FILE).exists():

@@ -112,23 +112,10 @@ class StoredTrialsMode(Stepwise):
     def read_trial(
         self, history: History, data: dataset.Dataset, name: str, consumer: str
     ) -> Observation:
-        """Return a trial with its points, as a new iteration.
+        """Return a trial with its points, as a new iteration of the history.
 
-        Parameters
-        ----------
-        history : History
-            History to which the iteration is added.
-        data : Dataset
-            The stored trials.
-        name : str
-            Name of the trial.
-        consumer : str
-            Stage that takes the trial, with the points wired to it.
-
-        Raises
-        ------
-        DataError
-            For a stage that needs frames, without frames.
+        `consumer` is the stage that takes the trial, with the points wired to it.
+        Raises DataError for a stage that needs frames, without frames.
         """
         stored, film = data.trials[name], data.films.get(name)
         reads_frames = film is not None and (stored.points.empty or self.again)

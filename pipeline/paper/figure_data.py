@@ -84,10 +84,7 @@ CAST_TABLES = (LINES, HANDS, MATCHING, BOXES)
 def choose_typical_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Choose a run for each experiment: the lowest seed with the median of casts.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        Table RUNS of `scores`; only finished runs count.
+    `runs` is table RUNS of `scores`; only finished runs count.
     """
     done = runs[runs["state"] == "done"].sort_values("seed")
     median = done.groupby("condition")["hit_at"].transform(
@@ -144,16 +141,9 @@ def parameter_table(folder: Path, runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def read_cast(folder: Path, arm: Arm, t_closest: float) -> dict[str, pd.DataFrame]:
-    """Read lines, hand path and matching rates of a cast from its artifacts.
+    """Read lines, hand path and matching rates of a cast from its iteration's folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the iteration.
-    arm : Arm
-        Arm that performed the cast.
-    t_closest : float
-        Time of the closest approach [s], or not finite.
+    `t_closest` is the time of the closest approach [s], or not finite.
     """
     motion, points = load(Motion, folder / "motion"), load(Points, folder / "points")
     measured = read_table(ARM, folder / "trial" / "arm.parquet")

@@ -67,21 +67,9 @@ def ask_about_cost(
 ) -> None:
     """Ask a person before a run with a step that costs more than a limit.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        What the run works with.
-    limit_hours : float
-        Limit of this user, not of a stored run [h].
-    console : Terminal
-        Where the question is shown.
-    consent : str
-        Option by which a person agrees, without the number of hours.
-
-    Raises
-    ------
-    UserError
-        Without a terminal, or if the answer is no.
+    The limit is that of this user, not of a stored run. `consent` is the option by
+    which a person agrees, without the number of hours. Raises UserError without a
+    terminal, or if the answer is no.
     """
     costs = estimate_costs(experiment)
     if not costs:

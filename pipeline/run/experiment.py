@@ -56,35 +56,19 @@ class Mode(ABC):
     def perform(
         self, experiment: Experiment, folder: Path, console: Terminal
     ) -> RunResult:
-        """Perform the run, reuse stored steps, and show the result.
-
-        Parameters
-        ----------
-        experiment : Experiment
-            What the run works with.
-        folder : Path
-            Folder of the run.
-        console : Terminal
-            Where progress and result are shown.
-        """
+        """Perform the run in its folder, reuse stored steps, and show the result."""
 
     @abstractmethod
     def check(self, experiment: Experiment) -> None:
         """Refuse settings that do not fit the mode, before anything is written.
 
-        Raises
-        ------
-        UserError, DataError
-            Naming the setting and the remedy.
+        Raises UserError or DataError, naming the setting and the remedy.
         """
 
     def graph(self, config: Settings) -> StageGraph:
         """Return the graph of the stages of an iteration; empty for a single stage.
 
-        Raises
-        ------
-        UserError
-            If the stages cannot be wired.
+        Raises UserError if the stages cannot be wired.
         """
         return StageGraph()
 
@@ -174,17 +158,8 @@ class Experiment:
 def prepare_experiment(config: Settings, where: BlockLocation) -> Experiment:
     """Check all settings and build the experiment, before anything moves.
 
-    Parameters
-    ----------
-    config : mapping
-        All settings of the run.
-    where : callable
-        Returns the file of a block of settings, for messages.
-
-    Raises
-    ------
-    UserError, DataError, PluginError
-        For a setting or a plugin that cannot be used.
+    `where` returns the file of a block of settings, for messages. Raises UserError,
+    DataError or PluginError for a setting or a plugin that cannot be used.
     """
     use_stored_plugins(config, where(PLUGINS_SETTING))
     import_plugins()

@@ -202,12 +202,8 @@ class History:
     ) -> Iteration:
         """Begin a new iteration and return it.
 
-        Parameters
-        ----------
-        trial : str
-            Name of its trial, if it is not derived from the number.
-        given : mapping, optional
-            Artifacts with which it begins, by name.
+        `trial` names its trial, if the name is not derived from the number. `given` are
+        the artifacts with which it begins, by name.
         """
         iteration = Iteration(
             self.next_number,
@@ -221,17 +217,8 @@ class History:
     def make_artifact(self, name: str, **given: Any) -> Any:
         """Run a stage in the last iteration and return its artifact.
 
-        Parameters
-        ----------
-        name : str
-            Name of the stage.
-        **given : object
-            Artifacts that no stage makes, such as `trials`.
-
-        Raises
-        ------
-        TypeError
-            For an input of a wrong type.
+        `given` are artifacts that no stage makes, such as `trials`. Raises TypeError
+        for an input of a wrong type.
         """
         current, stage = self.iterations[-1], stages()[name]
         current.given_artifacts.update(given)

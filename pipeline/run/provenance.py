@@ -202,14 +202,9 @@ def current_origin(
 def stale_reasons(
     folder: Path, step_folder: Path, settings: Mapping[str, Any]
 ) -> tuple[str, ...]:
-    """Return why a stored step is stale, without building a model.
+    """Return why a stored step of a run is stale, without building a model.
 
-    Parameters
-    ----------
-    folder, step_folder : Path
-        Folders of the run and of the step.
-    settings : mapping
-        All settings of the run.
+    `settings` are all settings of the run.
     """
     try:
         origin = store.read_origin(step_folder)
@@ -228,14 +223,7 @@ def input_hashes(
 ) -> dict[str, str]:
     """Return the content hashes of paths in the folders of a run and its trials.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder of the run.
-    paths : iterable of str
-        Paths of inputs; other paths are left out.
-    trials : str or None
-        Setting `trials` of the run.
+    Other paths are left out. `trials` is the setting of the run.
     """
     allowed_folders = [folder.resolve()]
     if trials is not None:
@@ -324,18 +312,8 @@ def arm_has_executed(
     """Return whether a real arm has executed a motion that depends on an artifact.
 
     Such artifacts are kept: those of stages before the movement of the iteration, and
-    of all earlier iterations.
-
-    Parameters
-    ----------
-    config : mapping
-        All settings of the run.
-    folder : Path
-        Folder of the run.
-    number, stage
-        Number of the iteration and name of the stage that made the artifact.
-    graph : StageGraph
-        Graph of the run.
+    of all earlier iterations. `number` and `stage` are the iteration and the stage that
+    made the artifact; `config` and `graph` are those of the run.
     """
     if arm_is_virtual(config) or graph.movement is None:
         return False

@@ -100,14 +100,7 @@ def collect_cast(
 ) -> CastRecord:
     """Collect the data of a cast, or of the look before the first.
 
-    Parameters
-    ----------
-    model : Model
-        The configured model.
-    iteration : Iteration
-        The cast, with its motion, trial and points.
-    previous : Estimate, optional
-        Estimate used to generate the motion.
+    `previous` is the estimate that was used to generate the motion.
     """
     motion, trial = iteration.find(Motion), iteration.find(Trial)
     points, estimate = iteration.find(Points), iteration.find(Estimate)
@@ -131,10 +124,7 @@ def collect_cast(
 def next_commands(commands: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
     """Return purpose and text of the commands offered on a page.
 
-    Parameters
-    ----------
-    commands : sequence of (str, str)
-        Purpose and arguments of each.
+    `commands` holds purpose and arguments of each.
     """
     verify = ("Compute every step again and compare bit by bit", f"verify {HERE}")
     shown = [*commands, verify]

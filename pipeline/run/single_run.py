@@ -44,15 +44,8 @@ logging.getLogger("matplotlib").setLevel(logging.WARNING)
 def main(config: DictConfig) -> float | None:
     """Perform a run, or one job of a sweep, from Hydra's settings.
 
-    Returns
-    -------
-    float or None
-        Matching rate E after the last estimation, if there is one.
-
-    Raises
-    ------
-    SystemExit
-        If the run is refused or interrupted.
+    Returns the matching rate E after the last estimation, if there is one. Raises
+    SystemExit if the run is refused or interrupted.
     """
     console = Terminal(stderr=True)
     folder = Path(HydraConfig.get().runtime.output_dir)

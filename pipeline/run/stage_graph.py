@@ -112,24 +112,12 @@ def build_graph(
     given: Mapping[str, Kind],
     outcome: StageSpec | None = None,
 ) -> StageGraph:
-    """Connect the stages of a mode.
+    """Connect the stages of a mode, in the order of an iteration.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Stages in the order of an iteration.
-    config : mapping
-        All settings of the run.
-    given : mapping
-        Kinds of the artifacts given to an iteration, by name.
-    outcome : StageSpec, optional
-        The mode's own use of artifacts, as a stage.
-
-    Raises
-    ------
-    UserError
-        For an unknown stage, and for an input that is missing, ambiguous, of another
-        kind or from a later stage; for an artifact that nothing uses.
+    `given` are the kinds of artifacts given to an iteration, by name. `outcome` is the
+    mode's own use of artifacts, as a stage. Raises UserError for an unknown stage, and
+    for an input that is missing, ambiguous, of another kind or from a later stage; for
+    an artifact that nothing uses.
     """
     refuse_unknown_stages(names)
     specs = [stages()[name] for name in names]

@@ -56,14 +56,8 @@ def bounds_of(name: str) -> Bounds | None:
 def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) -> None:
     """Raise UserError for a setting outside its bounds, or not a number.
 
-    The message names the setting that was given, not one that refers to it.
-
-    Parameters
-    ----------
-    config : mapping
-        All settings of a run.
-    where : callable
-        Returns the file of a block of settings, for messages.
+    The message names the setting that was given, not one that refers to it. `where`
+    returns the file of a block of settings, for messages.
     """
     faults = {}
     references = _referenced_settings(conf_folders())

@@ -27,10 +27,7 @@ class UserError(ExpectedError):
 def compose_settings(overrides: Sequence[str] = ()) -> Any:
     """Compose all settings outside a run, as plain values.
 
-    Parameters
-    ----------
-    overrides : sequence of str
-        Settings as on the command line, such as ``seed=3``.
+    Overrides are as on the command line, such as ``seed=3``.
     """
     settings = copy.deepcopy(_compose_cached(tuple(overrides), conf_folders()))
     settings[PLUGINS_SETTING] = [str(folder) for folder in plugin_folders().values()]

@@ -34,19 +34,10 @@ MEASURED_PARTS = ("value", "low", "high")  # parts of a parameter with an interv
 
 
 def build_model(config: Settings, where: BlockLocation) -> Model:
-    """Build the model of a run.
+    """Build the model of a run from all its settings.
 
-    Parameters
-    ----------
-    config : mapping
-        All settings of the run.
-    where : callable
-        Returns the file of a block of settings, for messages.
-
-    Raises
-    ------
-    UserError
-        For a setting that cannot be used.
+    `where` returns the file of a block of settings, for messages. Raises UserError for
+    a setting that cannot be used.
     """
     arm = build_dataclass(Arm, config["arm"], "arm", where("arm"))
     string = build_string(config["string"], where("string"))
@@ -66,21 +57,10 @@ def build_model(config: Settings, where: BlockLocation) -> Model:
 def add_effects(
     model: Model, names: Any, where: str, setting: str = "effects"
 ) -> Model:
-    """Return the model with these effects.
+    """Return the model with the effects that a setting names.
 
-    Parameters
-    ----------
-    model : Model
-        The model without these effects.
-    names : object
-        Value of the setting, which must be a list of names.
-    where, setting : str
-        File and name of the setting, for messages.
-
-    Raises
-    ------
-    UserError
-        For an unknown effect, or effects that exclude each other.
+    Raises UserError for anything but a list of names, an unknown effect, or effects
+    that exclude each other.
     """
     if not isinstance(names, list):
         remedy = "it must be a list, such as [rest_curvature]. Change it."
@@ -96,12 +76,7 @@ def read_parameter_values(
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Read the setting `parameter_values`.
 
-    Returns
-    -------
-    values : dict
-        Value of each given parameter.
-    ranges : dict
-        Lower and upper end of each measured parameter.
+    Returns the value of each given parameter, and both ends of each measured one.
     """
     values = {}
     ranges = {}

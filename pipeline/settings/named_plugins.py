@@ -74,19 +74,10 @@ def set_plugins(folders: Sequence[str]) -> None:
 
 
 def require_named_plugins(settings: Settings, where: str) -> list[str]:
-    """Return the folders of the plugins in settings.
+    """Return the folders of the plugins in settings, perhaps of a foreign run.
 
-    Parameters
-    ----------
-    settings : mapping
-        All settings of a run, perhaps a foreign one.
-    where : str
-        File of the settings, for messages.
-
-    Raises
-    ------
-    UserError
-        For a plugin that the user has not named. It is not imported.
+    `where` is the file of the settings, for messages. Raises UserError for a plugin
+    that the user has not named. It is not imported.
     """
     stored: Any = settings.get(PLUGINS_SETTING, [])
     is_list = isinstance(stored, list)

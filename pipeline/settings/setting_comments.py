@@ -59,10 +59,7 @@ def setting_units(names: Iterable[str]) -> dict[str, str]:
 def comments_in_file(file: Path, folder: Path) -> Iterator[tuple[str, str]]:
     """Yield the full name and the comment of each commented setting in a file.
 
-    Parameters
-    ----------
-    file, folder : Path
-        The file and the folder of all settings around it.
+    `folder` is that of all settings, around the file.
     """
     text = file.read_text(encoding="utf-8")
     is_top_level = file.parent == folder or "@package _global_" in text

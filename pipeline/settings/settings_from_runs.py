@@ -74,14 +74,8 @@ def inherit_settings(config: DictConfig, given: set[str]) -> dict[str, Any]:
     """Return all settings, including those inherited from folders.
 
     A calibrated camera replaces that of a model or of trials; a model replaces that of
-    trials.
-
-    Parameters
-    ----------
-    config : DictConfig
-        The composed settings with the folders.
-    given : set of str
-        Names on the command line. These settings take precedence over all others.
+    trials. The settings of the command line, whose names are `given`, take precedence
+    over all others.
     """
     # not resolved yet, so that references follow changed settings
     merged: Any = OmegaConf.create(OmegaConf.to_container(config))
@@ -165,21 +159,9 @@ def refuse_inherited_limits(
 ) -> None:
     """Refuse to move a real arm with inherited limits without consent.
 
-    Parameters
-    ----------
-    settings : dict
-        Settings of the run.
-    own_settings : dict
-        Settings configured here.
-    source : str
-        Source of the limits, for the message.
-    consent : str
-        Option by which a person agrees, for the message.
-
-    Raises
-    ------
-    UserError
-        If limits differ. The message lists them.
+    `own_settings` are configured here. `source` and `consent` are the source of the
+    limits and the option by which a person agrees, for the message. Raises UserError if
+    limits differ; the message lists them.
     """
     hardware = settings["hardware"].get("_target_")
     is_virtual = require_allowed(hardware, "hardware", "hardware") in VIRTUAL_HARDWARE
@@ -210,15 +192,8 @@ def run_moves_arm(settings: Any) -> bool:
 def read_extended_model(folder: Path) -> dict[str, Any]:
     """Read the model of a diagnosis or an alignment, as settings.
 
-    Parameters
-    ----------
-    folder : Path
-        The run's folder, or the file itself.
-
-    Raises
-    ------
-    UserError
-        If the file is missing or holds anything but settings of a model.
+    `folder` is that of the run, or the file itself. Raises UserError if the file is
+    missing or holds anything but settings of a model.
     """
     remedy = "Name the run folder of a diagnosis or an alignment."
     model = read_run_settings(folder, EXTENDED, "model_from", remedy)

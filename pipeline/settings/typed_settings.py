@@ -34,20 +34,10 @@ RUN_SETTINGS = ("_target_", "inputs")
 def bind_stage(block: Settings, place: str, where: str) -> Callable[..., Any]:
     """Return the function of a block, with its checked settings bound.
 
-    Parameters
-    ----------
-    block : mapping
-        ``_target_``, and exactly the function's keyword-only arguments (for a
-        `SettingsGroup`, its fields), without those supplied by the run.
-    place : str
-        Name of the block.
-    where : str
-        File from which it comes, for messages.
-
-    Raises
-    ------
-    UserError
-        For a name or value that the function does not accept.
+    The block holds ``_target_``, and exactly the function's keyword-only arguments (for
+    a `SettingsGroup`, its fields), without those supplied by the run. `place` is its
+    name, and `where` its file, for messages. Raises UserError for a name or value that
+    the function does not accept.
     """
     target = require_target(block, place, where, f"+{place}=...")
     function = load_callable(target, place, where)
@@ -236,15 +226,8 @@ def common_base(kinds: list[type]) -> type:
 def require_allowed(target: Any, place: str, where: str) -> str:
     """Return an allowed `_target_`; raise UserError for any other.
 
-    Parameters
-    ----------
-    target : object
-        Value of the setting.
-    place : str
-        Full name of the setting, such as ``string.integrator``. Its last name is the
-        role.
-    where : str
-        File from which it comes, for messages.
+    `place` is the full name of the setting, such as ``string.integrator``; its last
+    name is the role. `where` is its file, for messages.
     """
     role = place.rpartition(".")[2]
     allowed_names = [*allowed_names_by_role().get(role, ())]

@@ -158,10 +158,7 @@ class LedgerLauncher:
     def finish_sweep(self) -> int:
         """Write table and page of the sweep, if any, and print its state.
 
-        Returns
-        -------
-        int
-            Exit status: 0 if all jobs are done.
+        Returns the exit status: 0 if all jobs are done.
         """
         if self.launched is None:
             return 0
@@ -194,30 +191,18 @@ def job_line(job: Job, left: str) -> Text:
 
 
 def remaining_time(seconds: float, waiting: int, of: int) -> str:
-    """Describe the number of waiting jobs and the estimated remaining time.
+    """Describe the number of waiting jobs, of those at the start, and the time left.
 
-    Parameters
-    ----------
-    seconds : float
-        Time since the start.
-    waiting, of : int
-        Waiting jobs now and at the start.
+    `seconds` is the time since the start.
     """
     time_left = timedelta(seconds=round(seconds / max(of - waiting, 1) * waiting))
     return f"({waiting} left, about {time_left})" if waiting else ""
 
 
 def sweep_summary(jobs: Sequence[Job], folder: Path, elsewhere: int) -> str:
-    """Return the number of jobs by state, and how to continue.
+    """Return the number of jobs of a sweep by state, and how to continue.
 
-    Parameters
-    ----------
-    jobs : sequence of Job
-        All jobs of the sweep.
-    folder : Path
-        Folder of the sweep.
-    elsewhere : int
-        Number of jobs that another process is running.
+    `elsewhere` is the number of jobs that another process is running.
     """
     count = Counter(job.state for job in jobs)
     left = len(jobs) - count[DONE_STATE] - count[FAILED_STATE] - elsewhere
