@@ -1,4 +1,4 @@
-"""Posteriors of the places of all accepted causes, and swaps of look-alikes.
+"""Posteriors of the slots of all accepted causes, and swaps of look-alikes.
 
 A more probable look-alike replaces a cause. If misfit remains, the agreement of trials
 limits the probability of a cause.
@@ -33,7 +33,7 @@ from stringcast.stages.model.effect import Effect
 
 @dataclass(frozen=True)
 class Posteriors:
-    """A settled selection with the posterior of each of its places.
+    """A settled selection with the posterior of each of its slots.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def swap_lookalikes_until_stable(
     state : SelectionState
         The final state of the selection.
     effects : sequence of type of Effect
-        Candidates for each place.
+        Candidates for each slot.
     criteria : Criteria
         Its coverage defines credible sets.
     seed : int
@@ -73,7 +73,7 @@ def swap_lookalikes_until_stable(
     Returns
     -------
     Posteriors
-        The settled state with the posteriors of its places.
+        The settled state with the posteriors of its slots.
     """
     for changes_left in reversed(range(len(state.fit.hypothesis.causes) + 1)):
         background = background_responses(state.prepared.data, state.fit, effects)
@@ -109,10 +109,10 @@ def _more_probable_fit(
     state: SelectionState,
     criteria: Criteria,
 ) -> Fit | None:
-    """Find the fit with a more probable candidate in a place, or None.
+    """Find the fit with a more probable candidate in a slot, or None.
 
-    Nothing is changed if the credible set contains a cause of the model in any place,
-    unless the place is probably empty.
+    Nothing is changed if the credible set contains a cause of the model in any slot,
+    unless the slot is probably empty.
     """
     names = state.fit.hypothesis.cause_names
     credible = posterior.credible_set(criteria.coverage)
@@ -127,8 +127,8 @@ def with_most_probable_causes(
     state: SelectionState,
     posteriors: Sequence[SingleEffectPosterior],
 ) -> SelectionState:
-    """Put the likeliest effect into each place if that raises the evidence."""
-    likeliest = {}  # by cause, in the order of the places
+    """Put the likeliest effect into each slot if that raises the evidence."""
+    likeliest = {}  # by cause, in the order of the slots
     for posterior in posteriors:
         fit = posterior.fits.get(posterior.likeliest_cause)
         if fit is not None:
@@ -154,7 +154,7 @@ def _single_effect_posteriors(
     criteria: Criteria,
     seed: int,
 ) -> Iterator[SingleEffectPosterior]:
-    """Compute the posterior of each place, the last one first.
+    """Compute the posterior of each slot, the last one first.
 
     The last cause is most often a look-alike. Causes that are not named have no
     posterior. Without causes, the posterior is that of the candidates not accepted.
@@ -184,7 +184,7 @@ def _compare_alternatives(
     criteria: Criteria,
     seed: int,
 ) -> SelectionStep:
-    """Compare candidates for the place of a cause, given the others."""
+    """Compare candidates for the slot of a cause, given the others."""
     hypothesis = state.fit.hypothesis
     if cause is hypothesis.causes[-1]:
         step = _comparison_at_acceptance(state)

@@ -1,4 +1,4 @@
-"""Probabilities of effects in one place from their evidence."""
+"""Probabilities of effects in one slot from their evidence."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ class VerdictNumbers:
     causes : tuple of str
         Causes that were accepted.
     credible_sets : tuple of tuple of str
-        For each place that probably has a cause, the effects that explain the trials
+        For each slot that probably has a cause, the effects that explain the trials
         about equally well.
     inclusion_probability : dict
         Probability that each effect is active.

@@ -1,9 +1,10 @@
-"""Posterior probabilities of the effects in one place of the sum of single effects.
+"""Posterior probabilities of the effects in one slot of the sum of single effects.
 
-All candidates and "no effect" compete in a place, while a small amount of every effect
-may be present (`background_effects`). Because trials are a random sample, probabilities
-are averaged over a Bayesian bootstrap of them (pseudo-BMA+: Yao, Vehtari, Simpson,
-Gelman, Bayesian Analysis 13, 917, 2018).
+The causes of a model are a sum with one effect in each slot (SuSiE: Wang et al., J. R.
+Stat. Soc. B 82, 1273, 2020). All candidates and "no effect" compete in a slot, while a
+small amount of every effect may be present (`background_effects`). Because trials are a
+random sample, probabilities are averaged over a Bayesian bootstrap of them
+(pseudo-BMA+: Yao, Vehtari, Simpson, Gelman, Bayesian Analysis 13, 917, 2018).
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 log = logging.getLogger(__name__)
 
 BOOTSTRAP_SAMPLES = 100  # gives probabilities within 0.05
-LOGGED_CAUSES = 5  # the most probable ones of each place
+LOGGED_CAUSES = 5  # the most probable ones of each slot
 
 
 @dataclass(frozen=True)
 class SingleEffectPosterior:
-    """Posterior of the effects in one place of the sum of single effects.
+    """Posterior of the effects in one slot of the sum of single effects.
 
     Attributes
     ----------
@@ -41,7 +42,7 @@ class SingleEffectPosterior:
     fits : dict
         Fits of the candidates that were fitted.
     fit_without : Fit
-        The fit with nothing in this place.
+        The fit with nothing in this slot.
     data : TrialData
         The data of these fits.
     """
@@ -53,7 +54,7 @@ class SingleEffectPosterior:
 
     @property
     def presence(self) -> float:
-        """Probability that any cause is in the place."""
+        """Probability that any cause is in the slot."""
         return 1 - self.probabilities.get("", 0.0)
 
     @property
@@ -63,12 +64,12 @@ class SingleEffectPosterior:
 
     @property
     def holds_a_cause(self) -> bool:
-        """Whether the place probably has a cause."""
+        """Whether the slot probably has a cause."""
         return self.presence > 0.5
 
     @property
     def likeliest_cause(self) -> str:
-        """The most probable candidate, or none ("") if the place is probably empty."""
+        """The most probable candidate, or none ("") if the slot is probably empty."""
         return next(filter(None, self.ranked_causes)) if self.holds_a_cause else ""
 
     def credible_set(self, coverage: float) -> tuple[str, ...]:
@@ -105,7 +106,7 @@ def single_effect_posterior(
     Parameters
     ----------
     step : SelectionStep
-        Comparison of the candidates for this place.
+        Comparison of the candidates for this slot.
     background : sequence of numpy.ndarray, shape (E, 2 n)
         Responses to other effects (`background_responses`).
     weights : numpy.ndarray, shape (samples, K)
@@ -143,7 +144,7 @@ def single_effect_posterior(
     ranked = []
     for name in posterior.ranked_causes[:LOGGED_CAUSES]:
         ranked.append(f"{name or 'none'} {probabilities[name]:.2f}")
-    log.info("probabilities in a place: %s", ", ".join(ranked))
+    log.info("probabilities in a slot: %s", ", ".join(ranked))
     return posterior
 
 
@@ -200,7 +201,7 @@ def size_prior(fit: Fit) -> float:
 def inclusion_probabilities(
     posteriors: Sequence[SingleEffectPosterior],
 ) -> dict[str, float]:
-    """Compute the probability that each effect is in any place."""
+    """Compute the probability that each effect is in any slot."""
     absent: dict[str, float] = {}
     for posterior in posteriors:
         for name, probability in posterior.probabilities.items():

@@ -169,7 +169,7 @@ class Judgement:
     numbers : VerdictNumbers
         The numbers that decided it.
     posteriors : tuple of SingleEffectPosterior
-        Posteriors of the place of each accepted cause.
+        Posteriors of the slot of each accepted cause.
     base_fit : Fit
         The base model's fit to the same data.
     background : sequence of numpy.ndarray

@@ -1,4 +1,4 @@
-"""Posterior probabilities in the place of each cause, and swaps of look-alikes."""
+"""Posterior probabilities in the slot of each cause, and swaps of look-alikes."""
 
 from types import SimpleNamespace
 
@@ -108,7 +108,7 @@ def swap(monkeypatch, by_fit, fit):
 def test_look_alikes_are_followed_each_with_its_own_numerical_error(monkeypatch):
     """Look-alikes replace causes, each with its own numerical error.
 
-    First the second cause's look-alike is likelier, then no cause in the first place.
+    First the second cause's look-alike is likelier, then no cause in the first slot.
     """
     fits = {
         "one": named_fit("one", "a", "x"),
@@ -168,10 +168,10 @@ def test_a_cause_within_the_credible_set_is_not_replaced(monkeypatch):
         (0.60, 0.30, 0.10, "empty"),
     ],
 )
-def test_a_cause_is_removed_only_if_its_place_is_probably_empty(
+def test_a_cause_is_removed_only_if_its_slot_is_probably_empty(
     none, rival, own, kept, monkeypatch
 ):
-    """No cause may be the most probable of many, but the place probably has a cause."""
+    """No cause may be the most probable of many, but the slot probably has a cause."""
     fits = {
         "one": named_fit("one", "a"),
         "two": named_fit("two", "b"),
@@ -214,17 +214,17 @@ def test_a_rival_at_the_end_of_its_range_does_not_compete(inside_range, monkeypa
 
 
 def posterior_of_wind(monkeypatch, gain_by_trial, inside_range):
-    """Compute the posterior of a place with wind as only candidate; it gains 80."""
+    """Compute the posterior of a slot with wind as only candidate; it gains 80."""
     monkeypatch.setattr(
         single_effect, "is_inside_range", lambda fit, cause: inside_range
     )
-    return posterior_of_place(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
+    return posterior_of_slot(monkeypatch, {"wind": (80.0, gain_by_trial)}, 1.0)
 
 
-def posterior_of_place(
+def posterior_of_slot(
     monkeypatch, gains, difference_m, error=0.0, unresolved=(), size_priors=None
 ):
-    """Compute the posterior of a place, with 1 m at each tip left unexplained.
+    """Compute the posterior of a slot, with 1 m at each tip left unexplained.
 
     gains : in log evidence, and in log-likelihood of each trial, by effect
     difference_m : between the effects at each tip, and to their parent
@@ -247,7 +247,7 @@ def posterior_of_place(
     )
     monkeypatch.setattr(single_effect, "unexplained_tip_rms", lambda *_: np.ones(4))
 
-    def place(name, log_evidence, by_trial, error):
+    def slot(name, log_evidence, by_trial, error):
         return SimpleNamespace(
             log_evidence=log_evidence,
             log_evidence_error=error,
@@ -256,8 +256,8 @@ def posterior_of_place(
             has_diverged=False,
         )
 
-    parent = place("", 0.0, (0.0,) * 4, 0.0)
-    fits = [place(name, *gain, error) for name, gain in gains.items()]
+    parent = slot("", 0.0, (0.0,) * 4, 0.0)
+    fits = [slot(name, *gain, error) for name, gain in gains.items()]
     resolved = [fit for fit in fits if fit.hypothesis.causes[0].name not in unresolved]
     unresolved = [fit for fit in fits if fit not in resolved]
     rng = np.random.default_rng(0)
@@ -273,7 +273,7 @@ def test_effects_that_differ_by_less_than_the_misfit_are_equally_probable(
     """By evidence alone wind would be certain; it still ranks first."""
     monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
-    posterior = posterior_of_place(monkeypatch, gains, difference_m)
+    posterior = posterior_of_slot(monkeypatch, gains, difference_m)
     assert posterior.probabilities["tilt"] == pytest.approx(share, abs=1e-6)
     assert sum(posterior.probabilities.values()) == pytest.approx(1.0)
     assert posterior.ranked_causes[0] == "wind"
@@ -286,10 +286,10 @@ def test_an_effect_of_common_size_has_more_of_the_probability_of_look_alikes(
     monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {"tilt": (60.0, (15.0,) * 4), "wind": (80.0, (20.0,) * 4)}
     sizes = {"tilt": 0.6, "wind": 0.2}
-    alike = posterior_of_place(monkeypatch, gains, 0.9, size_priors=sizes)
+    alike = posterior_of_slot(monkeypatch, gains, 0.9, size_priors=sizes)
     assert alike.probabilities["tilt"] == pytest.approx(0.75, abs=1e-6)
     assert alike.probabilities["wind"] == pytest.approx(0.25, abs=1e-6)
-    distinct = posterior_of_place(monkeypatch, gains, 1.1, size_priors=sizes)
+    distinct = posterior_of_slot(monkeypatch, gains, 1.1, size_priors=sizes)
     assert distinct.probabilities["wind"] == pytest.approx(1.0, abs=1e-6)
 
 
@@ -301,7 +301,7 @@ def test_an_unresolved_effect_is_as_probable_as_the_best(monkeypatch):
         "tilt": (60.0, (15.0,) * 4),
         "wind": (80.0, (20.0,) * 4),
     }
-    posterior = posterior_of_place(monkeypatch, gains, 1.1, unresolved=["softening"])
+    posterior = posterior_of_slot(monkeypatch, gains, 1.1, unresolved=["softening"])
     assert posterior.probabilities["softening"] == pytest.approx(0.5, abs=1e-6)
     assert posterior.probabilities["wind"] == pytest.approx(0.5, abs=1e-6)
     assert posterior.ranked_causes[0] == "wind"
@@ -315,7 +315,7 @@ def test_rivals_that_differ_by_less_than_their_errors_share_probability(
     """A difference of 20 with an error of 28 has the wrong sign in a quarter."""
     monkeypatch.setattr(single_effect, "is_inside_range", lambda fit, cause: True)
     gains = {"dry": (200.0, (50.0,) * 4), "worn": (180.0, (45.0,) * 4)}
-    posterior = posterior_of_place(monkeypatch, gains, 1.1, error)
+    posterior = posterior_of_slot(monkeypatch, gains, 1.1, error)
     assert posterior.probabilities["worn"] == pytest.approx(share, abs=0.1)
     assert (posterior.probabilities["worn"] > 0.1) == (error > 0)
 
@@ -338,7 +338,7 @@ SET_AND_SOFTENING = ({"set": 0.7, "tilt": 0.3}, {"softening": 0.9, "play": 0.1})
             5.0,
             ("tilt", "play"),
         ),
-        # an effect cannot be in both places
+        # an effect cannot be in both slots
         (
             ({"play": 0.6, "tilt": 0.4}, {"softening": 0.1, "play": 0.9}),
             5.0,
@@ -384,10 +384,10 @@ def test_the_likeliest_effects_replace_causes_if_their_joint_evidence_is_higher(
     assert likeliest.fit.hypothesis.causes == causes
 
 
-def limit_place(
+def limit_slot(
     monkeypatch, probabilities, log_bayes_factor, misfit_probability, share=1.0
 ):
-    """Limit the probabilities of one place with 50 candidates by agreement of trials.
+    """Limit the probabilities of one slot with 50 candidates by agreement of trials.
 
     share: share of the misfit that the cause explains in each trial.
     """
@@ -405,8 +405,8 @@ def limit_place(
     monkeypatch.setattr(
         posteriors, "explained_shares", lambda *given: np.full(2, share)
     )
-    place = SingleEffectPosterior(probabilities, {"a": None}, None, None)
-    given = posteriors.Posteriors(state, None, (place,))
+    slot = SingleEffectPosterior(probabilities, {"a": None}, None, None)
+    given = posteriors.Posteriors(state, None, (slot,))
     found = posteriors.limit_by_agreement(given, misfit_probability, 50, 1e-3)
     return found.by_cause[0].probabilities
 
@@ -417,17 +417,17 @@ def test_the_agreement_of_trials_limits_probabilities_if_misfit_remains(
     """The odds are the trials' Bayes factor times the prior odds of one cause."""
     certain = {"a": 0.9, "b": 0.1, "": 0.0}
     there = 0.75 * probability_by_shares(np.ones(2))
-    found = limit_place(monkeypatch, certain, np.log(150), 1.0)
+    found = limit_slot(monkeypatch, certain, np.log(150), 1.0)
     assert found == pytest.approx({"a": 0.9 * there, "b": 0.1 * there, "": 1 - there})
 
-    halfway = limit_place(monkeypatch, certain, np.log(150), 0.5)
+    halfway = limit_slot(monkeypatch, certain, np.log(150), 0.5)
     assert halfway[""] == pytest.approx((1 - there) / 2)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
 def test_the_probability_of_a_stand_in_limits_that_of_a_cause(monkeypatch, share):
     """Something outside the library may have the same effect in all trials."""
-    found = limit_place(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0, share)
+    found = limit_slot(monkeypatch, {"a": 1.0, "": 0.0}, 30.0, 1.0, share)
     assert found["a"] == pytest.approx(probability_by_shares(np.array([share])))
 
 
@@ -436,7 +436,7 @@ def test_probabilities_are_unchanged_without_misfit_or_below_the_limit(
     monkeypatch, log_bayes_factor, misfit
 ):
     given = {"a": 0.8, "": 0.2}
-    found = limit_place(monkeypatch, given, log_bayes_factor, misfit)
+    found = limit_slot(monkeypatch, given, log_bayes_factor, misfit)
     assert found == pytest.approx(given)
 
 
@@ -455,17 +455,17 @@ def test_without_a_cause_the_posterior_is_that_of_the_last_step(monkeypatch):
     assert list(found) == ["none"]
 
 
-def test_the_inclusion_probability_is_that_of_any_place():
-    places = [
+def test_the_inclusion_probability_is_that_of_any_slot():
+    slots = [
         SingleEffectPosterior({"wind": 0.5, "": 0.5}, {}, None, None),
         SingleEffectPosterior({"wind": 0.4, "tip_mass": 0.2, "": 0.4}, {}, None, None),
     ]
-    found = single_effect.inclusion_probabilities(places)
+    found = single_effect.inclusion_probabilities(slots)
     assert found == pytest.approx({"wind": 0.7, "tip_mass": 0.2})
 
 
 @pytest.mark.parametrize(
-    ("best", "accepted", "cause", "places", "is_known"),
+    ("best", "accepted", "cause", "solutions", "is_known"),
     [
         (None, False, "b", 1, False),
         (("a", "c"), True, "b", 1, False),
@@ -476,7 +476,7 @@ def test_the_inclusion_probability_is_that_of_any_place():
     ],
 )
 def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
-    best, accepted, cause, places, is_known, monkeypatch
+    best, accepted, cause, solutions, is_known, monkeypatch
 ):
     others = SimpleNamespace(
         with_cause=lambda cause: SimpleNamespace(exponents_from=lambda known: None)
@@ -500,7 +500,7 @@ def test_the_comparison_at_acceptance_is_reused_for_the_last_cause(
     fitted = SimpleNamespace(log_evidence=0.0)
     for name in ("evaluate_fit", "refit"):
         monkeypatch.setattr(posteriors, name, lambda *given: fitted)
-    monkeypatch.setattr(posteriors, "distinct_fits", lambda fits: fits[:places])
+    monkeypatch.setattr(posteriors, "distinct_fits", lambda fits: fits[:solutions])
     monkeypatch.setattr(posteriors, "compare_candidates", lambda *given: "compared")
     found = posteriors._compare_alternatives(state, cause, (), None, 0)
     assert found is (last if is_known else "compared")
