@@ -10,7 +10,6 @@ from stringcast.data.diagnoses import Diagnosis
 from stringcast.pipeline.modes.batch import Batch
 from stringcast.pipeline.modes.stored_trials import (
     STORED_ARTIFACTS,
-    describe_own_clocks,
     refuse_unlike_clocks,
 )
 from stringcast.pipeline.run.experiment import Experiment
@@ -51,9 +50,8 @@ class Diagnose(Batch):
         """Diagnose, and repeat after each performed motion."""
         history, trials = self.begin_history(experiment, executor)
         source = experiment.config["trials"]
-        stored_observations = trials.observations
         if source is not None:
-            refuse_unlike_clocks(experiment, Path(source), stored_observations)
+            refuse_unlike_clocks(experiment, Path(source), trials.observations)
         stored = len(history.iterations)
         collected = stages()[self.stage].collected_input
         diagnosis: Diagnosis = history.make_artifact(self.stage, **{collected: trials})
@@ -70,10 +68,6 @@ class Diagnose(Batch):
         stage = stages()[self.stage]
         summary = stage.summary(diagnosis)
         sentence = diagnosis_outcome(diagnosis, summary)
-        if source is not None and leaves_misfit(diagnosis):
-            # performed motions have the clocks of this arm and camera
-            clocks = describe_own_clocks(experiment, Path(source), stored_observations)
-            sentence = " ".join(filter(None, [sentence, clocks]))
         return RunResult(folder, tuple(history.iterations), sentence, stage)
 
     def perform_proposed_motion(self, history: History, trials: TrialSet) -> TrialSet:
@@ -91,12 +85,6 @@ class Diagnose(Batch):
             observations=(*trials.observations, observation),
             iteration_numbers=(*trials.iteration_numbers, iteration.number),
         )
-
-
-def leaves_misfit(diagnosis: Diagnosis) -> bool:
-    """Return whether a diagnosis that was not interrupted leaves misfit at the tip."""
-    is_left = bool(diagnosis.document["unexplained"]["where"])
-    return is_left and not diagnosis.was_interrupted
 
 
 def diagnosis_outcome(diagnosis: Diagnosis, summary: StageSummary) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -23,8 +22,6 @@ from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.check.check import refuse_errors
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.model.effects.time_offset import TimeOffset
-
-log = logging.getLogger(__name__)
 
 # artifacts of a stored trial
 STORED_FILM = "trial"
@@ -50,8 +47,11 @@ def check_trials(experiment: Experiment, stored: dataset.Dataset) -> dataset.Dat
 def refuse_unlike_clocks(
     experiment: Experiment, folder: Path, observations: Sequence[Observation]
 ) -> None:
-    """Raise DataError for a dataset with clearly different clocks."""
-    if _clocks_are_known(experiment, folder):
+    """Raise DataError for a dataset with clearly different clocks.
+
+    Trials of a run have one clock, and known clocks are in the model.
+    """
+    if is_run_folder(folder) or TimeOffset in experiment.model.effects:
         return
     # takes seconds to import
     offset = import_module("stringcast.stages.clock.offset")
@@ -60,27 +60,6 @@ def refuse_unlike_clocks(
         offset.refuse_wrong_clock(experiment.model, observations, rng)
     except DataError as error:
         raise DataError(f"{folder}: {error}") from error
-
-
-def describe_own_clocks(
-    experiment: Experiment, folder: Path, observations: Sequence[Observation]
-) -> str:
-    """Say whether trials of a dataset have clocks of their own; empty if not.
-
-    The fit takes some ten seconds for three trials.
-    """
-    if _clocks_are_known(experiment, folder):
-        return ""
-    log.info("comparing the clocks of the trials")
-    trial_clocks = import_module("stringcast.stages.clock.trial_clocks")
-    rng = np.random.default_rng(experiment.seed)
-    clock = trial_clocks.find_trial_clocks(experiment.model, observations, rng)
-    return "" if clock is None else str(trial_clocks.describe_trial_clocks(clock))
-
-
-def _clocks_are_known(experiment: Experiment, folder: Path) -> bool:
-    """Return whether trials come from a run, or their clocks are in the model."""
-    return is_run_folder(folder) or TimeOffset in experiment.model.effects
 
 
 def history_of_dataset(

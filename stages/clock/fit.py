@@ -9,63 +9,36 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.background_effects import background_responses
 from stringcast.stages.diagnose.base_model import fit_base_model, fit_from_beginnings
+from stringcast.stages.diagnose.clock_offsets import (
+    OFFSET,
+    ClockFit,
+    better_fit,
+    explained_fraction,
+)
 from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.noise import estimate_initial_noise
 from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
-from stringcast.stages.diagnose.proposals import candidate_effects
 from stringcast.stages.diagnose.used_frames import trim_trailing_rest
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import most_likely_grid_point
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import Fit, fit_hypothesis
+from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION, Likelihood
 from stringcast.stages.inference.prepared_trial import PreparedTrial, prepare_trial
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.clock_drift import ClockDrift
 from stringcast.stages.model.effects.time_offset import TimeOffset
-from stringcast.stages.model.library import effects_by_name
 from stringcast.stages.model.model import Model
 
-OFFSET = "time_offset.offset"
 STARTS = 6  # of the search for the string's parameters and the offset
-# Effects that are the clock itself
-CLOCK_EFFECTS = ("time_offset", "clock_drift")
 FIXED_WITHIN_S = 1e-4  # half range of an offset that is given
 # Least upper limits of the stiffness [N m/(rad kg)]: those of a clamped strip. In the
 # range of limp strings, a strip is fitted as a rigid pendulum, with an offset wrong by
 # some 10 ms.
 CLAMPED_STRIP = {"bending_stiffness": 400.0, "grasp_stiffness": 300.0}
-MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
-
-
-@dataclass(frozen=True)
-class ClockFit:
-    """Trials with about correct times, and a fit of their remaining offset.
-
-    Attributes
-    ----------
-    data : TrialData
-    fit : Fit
-        A fit whose parameters include the offset.
-    """
-
-    data: TrialData
-    fit: Fit
-
-    @property
-    def index(self) -> int:
-        """Index of the offset among the parameters."""
-        return self.fit.hypothesis.model.names.index(OFFSET)
-
-    @property
-    def offset(self) -> float:
-        """The offset of the fit [s]."""
-        return self.fit.values[OFFSET]
 
 
 def model_with_offset(model: Model, half_width: float) -> Model:
@@ -113,7 +86,7 @@ def fit_clock(
     _, measured = estimate_initial_noise(likelihood, chi, noise_is_given)
     clock = _fit_with_discrepancy(measured, Hypothesis(likelihood.model), chi)
     restarted = replace(clock, fit=fit_from_beginnings(clock.data, clock.fit))
-    return _better_fit(clock, restarted)
+    return better_fit(clock, restarted)
 
 
 def _fit_with_discrepancy(
@@ -127,11 +100,6 @@ def _fit_with_discrepancy(
     return ClockFit(data, fit_hypothesis(data, hypothesis, chi[None], grid_points))
 
 
-def _better_fit(*fits: ClockFit) -> ClockFit:
-    """Return the fit with the most evidence."""
-    return max(fits, key=lambda clock: clock.fit.log_evidence)
-
-
 def fit_drift(clock: ClockFit) -> ClockFit:
     """Fit a drift of the clocks in addition to the offset, from a fit without it."""
     model = clock.fit.hypothesis.model.with_effects(ClockDrift)
@@ -139,36 +107,6 @@ def fit_drift(clock: ClockFit) -> ClockFit:
     start = hypothesis.exponents_from(clock.fit.exponents)
     fit = fit_hypothesis(clock.data, hypothesis, start[None], clock.fit.grid_points)
     return ClockFit(clock.data, fit)
-
-
-def explains_more(fuller: ClockFit, simpler: ClockFit) -> bool:
-    """Return whether a fit with more clock parameters is accepted.
-
-    It must have more evidence and remove enough of the mean square misfit at the tip:
-    if the string model is wrong, any clock parameter improves the fit a little. Both
-    must hold without the trial that gains most, if there are others.
-    """
-    gain = fuller.fit.log_evidence - simpler.fit.log_evidence
-    gains = fuller.fit.log_likelihood_by_trial - simpler.fit.log_likelihood_by_trial
-    trials = np.arange(len(gains))
-    if len(gains) > 1:
-        most_helped = int(np.argmax(gains))
-        gain -= gains[most_helped]
-        trials = np.delete(trials, most_helped)
-    explained = explained_fraction(fuller, simpler, trials)
-    return bool(gain > 0 and explained >= MIN_EXPLAINED_FRACTION)
-
-
-def explained_fraction(
-    fuller: ClockFit, simpler: ClockFit, trials: np.ndarray | slice = slice(None)
-) -> float:
-    """Compute the share of the mean square misfit at the tip that a fit removes.
-
-    trials: indices of the trials that are used.
-    """
-    before = unexplained_tip_rms(simpler.data, simpler.fit)[trials]
-    after = unexplained_tip_rms(fuller.data, fuller.fit)[trials]
-    return float(1 - np.sum(after**2) / np.sum(before**2))
 
 
 def explained_by_offset(clock: ClockFit, other: float) -> float:
@@ -185,15 +123,6 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
     start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
     fixed_fit = fit_hypothesis(clock.data, hypothesis, start[None], fit.grid_points)
     return explained_fraction(clock, replace(clock, fit=fixed_fit))
-
-
-def effect_responses(clock: ClockFit) -> ByTrial:
-    """Return the response of each trial to each effect of the library, (E, 2 n)."""
-    model = clock.fit.hypothesis.model
-    effects = candidate_effects(
-        model, effects_by_name(), clock.data.trials, CLOCK_EFFECTS
-    )
-    return background_responses(clock.data, clock.fit, effects)
 
 
 @dataclass(frozen=True)
@@ -254,28 +183,7 @@ def refit_from(clock: ClockFit, chi: np.ndarray) -> ClockFit:
     """Refit from other exponents (P,); return the better of both fits."""
     fit = clock.fit
     other = fit_hypothesis(clock.data, fit.hypothesis, chi[None], fit.grid_points)
-    return _better_fit(clock, replace(clock, fit=other))
-
-
-def refit_with_one_offset(
-    common: ClockFit, separate: ClockFit, offset: float
-) -> ClockFit:
-    """Refit one offset to trials under the noise of a fit with separate offsets.
-
-    So the evidence of both can be compared. The better of two fits is returned: one
-    starts from the common fit, one from the other string and an offset [s].
-    """
-    trials = []
-    for own, shifted in zip(common.data.trials, separate.data.trials, strict=True):
-        trials.append(shifted.shift_times(own.times[0] - shifted.times[0]))
-    data = replace(separate.data, trials=tuple(trials))
-    hypothesis = common.fit.hypothesis
-    fits = []
-    for values in (common.fit.values, {**separate.fit.values, OFFSET: offset}):
-        start = hypothesis.model.exponents_of_values(values)
-        grid_points = separate.fit.grid_points
-        fits.append(fit_hypothesis(data, hypothesis, start[None], grid_points))
-    return _better_fit(*[ClockFit(data, fit) for fit in fits])
+    return better_fit(clock, replace(clock, fit=other))
 
 
 def shift_observations(

@@ -8,32 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import brentq
-from scipy.special import chdtrc
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.check.measured import CheckedTrial, without_spikes
 from stringcast.stages.clock.fit import (
-    MIN_EXPLAINED_FRACTION,
-    ClockFit,
     OffsetProfile,
-    effect_responses,
     explained_by_offset,
-    explains_more,
     fit_clock,
     fit_drift,
     profile_offset,
     refit_from,
-    refit_with_one_offset,
     shift_observations,
 )
-from stringcast.stages.clock.posterior import clock_posterior, time_slopes
 from stringcast.stages.clock.windows import (
     HARMLESS_OFFSET_S,
     Window,
@@ -42,47 +32,37 @@ from stringcast.stages.clock.windows import (
     possible_windows,
     stretch_by_offset,
 )
-from stringcast.stages.common import NORMAL_95, Progress, partial_progress
+from stringcast.stages.common import Progress, partial_progress
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.clock_offsets import (
+    MIN_EXPLAINED_FRACTION,
+    STAMP_UNCERTAINTY_FRAMES,
+    ClockFit,
+    Interval,
+    clock_posterior,
+    effect_responses,
+    explains_more,
+    refit_with_one_offset,
+    scatter_of_trials,
+    slopes_by_offset,
+    time_slopes,
+    trials_differ,
+)
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
 
-# Half widths of intervals in standard deviations, widened as in a diagnosis
-HALF_WIDTH = 1.4 * NORMAL_95
-# Least uncertainty of a camera's time stamps, as a share of the time between frames
-STAMP_UNCERTAINTY_FRAMES = 0.1
 EDGE_S = 0.02  # margin of the search around the window
 RIVAL_LOG_LIKELIHOOD = 30.0  # another peak of the profile is refitted if this near
 RIVAL_DISTANCE = 4  # steps of the profile between two peaks
-SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
 MIN_DRIFT = 0.005  # a drift is named if its whole interval exceeds this
 NO_PRIOR = 1e-6  # negligible precision [1/s2]
 DRIFT_PRIOR = 0.05  # standard deviation of the drift as a share of time
-MS_PER_S = 1e3  # [ms] in a second
 CLOCK_REMEDY = (
     "Add that to t of points, or import with --clock fit; if it is the arm that lags, "
     "say how well the clocks agree in dataset.yaml: 'clock: {low: -0.001, high: "
     "0.001}', or import with --clock=0,0.001"
 )
-
-
-class Interval(NamedTuple):
-    """A value with a 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def from_deviation(cls, value: float, deviation: float, floor: float) -> Interval:
-        """Return the interval of a value with a standard deviation."""
-        half = HALF_WIDTH * deviation + floor
-        return cls(float(value), float(value - half), float(value + half))
-
-    def in_milliseconds(self) -> Interval:
-        """Convert an interval in seconds to milliseconds."""
-        return Interval(*(MS_PER_S * number for number in self))
 
 
 @dataclass(frozen=True)
@@ -245,7 +225,7 @@ def _estimate_separate_offsets(
     joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
 
     background = effect_responses(joint_fit)
-    posterior = _posterior(joint_fit, background, _slopes_by_offset(joint_fit))
+    posterior = _posterior(joint_fit, background, slopes_by_offset(joint_fit))
     floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
     by_trial = {}
     for name, mean, deviation in zip(
@@ -269,12 +249,12 @@ def _describe_common(
     background = effect_responses(clock)
     frame_s = _longest_frame_interval_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    own = _posterior(clock, background, _slopes_by_offset(clock))
-    scatter_s = _scatter_of_trials(own)
+    own = _posterior(clock, background, slopes_by_offset(clock))
+    scatter_s = scatter_of_trials(own)
     interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
     estimate = ClockOffset(
         by_trial=dict.fromkeys([trial.name for trial in trials], interval),
-        is_common=not _trials_differ(own, frame_s),
+        is_common=not trials_differ(own, frame_s),
         drift=drift,
         profile=_profile_table(trials[0], window, profile),
     )
@@ -415,17 +395,6 @@ def _posterior(
     return clock_posterior(clock, background, columns, precision)
 
 
-def _slopes_by_offset(clock: ClockFit) -> ByTrial:
-    """Return derivatives by the offset of each trial, (K, 2 n)."""
-    slopes = time_slopes(clock)
-    columns = []
-    for number, slope in enumerate(slopes):
-        rows = np.zeros((len(slopes), len(slope)))
-        rows[number] = slope
-        columns.append(rows)
-    return columns
-
-
 def _estimate_drift(
     clock: ClockFit, background: ByTrial
 ) -> tuple[Interval | None, BackgroundPosterior]:
@@ -447,43 +416,6 @@ def _estimate_drift(
     if is_possible and explains_more(fit_drift(clock), clock):
         return drift, posterior
     return None, posterior
-
-
-def _scatter_of_trials(own: BackgroundPosterior) -> float:
-    """Estimate the scatter of the trials' own offsets beyond their posterior [s].
-
-    Misfit of the model shifts the offset of each trial. The scatter is chosen to
-    explain the differences (Paule and Mandel 1982, J. Res. NBS 87, 377).
-    """
-    freedom = len(own.mean) - 1
-    excess = partial(_chi_squared_of_differences, own)
-    if freedom < 1 or excess(0.0) <= freedom:
-        return 0.0
-    largest = np.ptp(own.mean) * np.sqrt(len(own.mean))
-    return float(brentq(lambda scatter_s: excess(scatter_s) - freedom, 0.0, largest))
-
-
-def _chi_squared_of_differences(own: BackgroundPosterior, scatter_s: float) -> float:
-    """Compute chi squared of the differences between the trials' own offsets.
-
-    scatter_s: added to their posterior.
-    """
-    count = len(own.mean)
-    contrast = np.diff(np.eye(count), axis=0)
-    difference = contrast @ own.mean
-    scattered = own.covariance + scatter_s**2 * np.eye(count)
-    covariance = contrast @ scattered @ contrast.T
-    return float(difference @ np.linalg.solve(covariance, difference))
-
-
-def _trials_differ(own: BackgroundPosterior, frame_s: float) -> bool:
-    """Return whether trials have significantly different offsets."""
-    freedom = len(own.mean) - 1
-    if freedom < 1 or np.ptp(own.mean) < frame_s:
-        return False
-    widening = HALF_WIDTH / NORMAL_95
-    square = _chi_squared_of_differences(own, 0.0) / widening**2
-    return bool(chdtrc(freedom, square) < SIGNIFICANCE)
 
 
 def _longest_frame_interval_s(trials: Sequence[CheckedTrial]) -> float:

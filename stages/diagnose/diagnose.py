@@ -28,6 +28,7 @@ from stringcast.stages.diagnose.document import (
     alternatives_document,
     budget_document,
     cause_document,
+    clocks_document,
     effects_with_reasons,
     extended_model_settings,
     gain_document,
@@ -55,9 +56,10 @@ from stringcast.stages.diagnose.posteriors import (
 from stringcast.stages.diagnose.preparation import usable_trials
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.proposals import effects_left_out
-from stringcast.stages.diagnose.rules import Criteria, has_evidence
+from stringcast.stages.diagnose.rules import Criteria, has_evidence, misfit_remains
 from stringcast.stages.diagnose.selection_state import SelectionState
 from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.trial_clocks import find_trial_clocks
 from stringcast.stages.diagnose.trials_by_use import TrialsByUse
 from stringcast.stages.diagnose.verdict import (
     Judgement,
@@ -73,6 +75,7 @@ from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.kept_results import use_any_store
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.effects.time_offset import TimeOffset
 from stringcast.stages.model.library import check_effect_names, effects_by_name
 from stringcast.stages.model.model import Model
 from stringcast.stages.spec import StageCall, declare_string_counts
@@ -228,6 +231,7 @@ def _diagnose_trials(trials: TrialsByUse, settings: DiagnosisSettings) -> Diagno
             posteriors.background,
         )
         experiment = _propose_experiment(state, judgement, settings)
+        judgement = _with_trial_clocks(state, judgement, settings)
     except InterruptRequest:
         if reached is None:
             raise
@@ -248,6 +252,30 @@ def _mesh_is_too_coarse(prepared: PreparedData, criteria: Criteria) -> bool:
         return False
     shift = tip_shift_rms(prepared.data, configured, base)
     return bool(shift.max() > criteria.tip_tolerance_m)
+
+
+def _with_trial_clocks(
+    state: SelectionState, judgement: Judgement, settings: DiagnosisSettings
+) -> Judgement:
+    """Find clocks that differ between trials, if misfit remains.
+
+    Clocks that are in the model are known.
+    """
+    remains = misfit_remains(judgement.verdict.misfit_probability)
+    if not remains or TimeOffset in settings.model.effects:
+        return judgement
+    log.info("comparing the clocks of the trials")
+    reported = _reported_state(state, judgement)
+    trial_clocks = find_trial_clocks(reported.prepared.data, reported.fit)
+    return replace(judgement, trial_clocks=trial_clocks)
+
+
+def _reported_state(state: SelectionState, judgement: Judgement) -> SelectionState:
+    """Return the state with the base model if none of its causes is named."""
+    final_causes = set(state.fit.hypothesis.cause_names)
+    if final_causes.isdisjoint(judgement.verdict.causes):
+        return replace(state, fit=judgement.base_fit)
+    return state
 
 
 def _propose_experiment(
@@ -277,14 +305,14 @@ def build_diagnosis(
     """Assemble the artifact; it shows the base model if no cause is named."""
     data = state.prepared.data
     base_fit = judgement.base_fit
-    final_causes = set(state.fit.hypothesis.cause_names)
-    is_named = not final_causes.isdisjoint(judgement.verdict.causes)
-    reported = state if is_named else replace(state, fit=base_fit)
+    reported = _reported_state(state, judgement)
     # A random stream separate from those of the fits
     rng = np.random.default_rng([settings.seed, len(data.trials)])
     budget = error_budget(reported, base_fit, rng)
     # Causes that were found but not named have entries, too
-    entered_fits = budget.nested_fits if is_named else nested_fits(state, base_fit)
+    entered_fits: Sequence[Fit] = budget.nested_fits
+    if reported is not state:
+        entered_fits = nested_fits(state, base_fit)
     causes = tables.causes_table(reported, judgement, settings.interval_half_width)
     finding = _finding_table(
         trials,
@@ -356,6 +384,7 @@ def _finding_table(
     unexplained = unexplained_document(
         data, reported.fit, judgement, budget, settings.criteria
     )
+    clocks = clocks_document(judgement.trial_clocks)
     document = {
         "format": FORMAT_VERSION,
         "verdict": verdict.kind,
@@ -369,11 +398,13 @@ def _finding_table(
         "extended": extended,
         "gain": gain_document(gain.table, trials_used["used"]),
         "unexplained": unexplained,
+        "clocks": clocks,
         "budget": budget_document(budget),
         "trials": trials_used,
         "next_experiment": experiment.next_experiment,
     }
     sentences = verdict_sentences(judgement, causes, unexplained["sentence"])
+    sentences.append(clocks["sentence"])
     if trials.left_out:
         sentences.append(f"Left out: {describe_rejected(trials.left_out)}.")
     row = {

@@ -10,9 +10,11 @@ import pandas as pd
 
 from stringcast.stages.common import MM_PER_M, readable_name, rms
 from stringcast.stages.diagnose.budget import ErrorBudget
+from stringcast.stages.diagnose.clock_offsets import Interval
 from stringcast.stages.diagnose.measures import unexplained_tip_rms
 from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria, misfit_remains
+from stringcast.stages.diagnose.trial_clocks import describe_trial_clocks
 from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.inference.discrepancy_grid import count_courses, onset_time
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
@@ -118,6 +120,14 @@ def gain_document(held_out: pd.DataFrame, used: Sequence[str]) -> dict[str, Any]
         },
         "causes_chosen_from_them": bool(trials) and set(trials) <= set(used),
     }
+
+
+def clocks_document(trial_clocks: Mapping[str, Interval] | None) -> dict[str, Any]:
+    """List offsets of the clocks [s] for diagnosis.json, if trials differ in them."""
+    if trial_clocks is None:
+        return {"offsets": {}, "sentence": ""}
+    offsets = {name: interval._asdict() for name, interval in trial_clocks.items()}
+    return {"offsets": offsets, "sentence": describe_trial_clocks(trial_clocks)}
 
 
 def replace_non_finite(document: Any) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 
 from stringcast.stages.common import MM_PER_M, readable_name
 from stringcast.stages.diagnose.background_effects import background_responses
+from stringcast.stages.diagnose.clock_offsets import Interval
 from stringcast.stages.diagnose.measures import (
     mean_explained_fraction,
     refit,
@@ -176,6 +177,8 @@ class Judgement:
         Responses to other effects (`background_responses`).
     interrupted : bool
         Whether the search was ended early.
+    trial_clocks : dict or None
+        Offset of the clocks of each trial, if trials differ in it.
     """
 
     verdict: Verdict
@@ -184,6 +187,7 @@ class Judgement:
     base_fit: Fit
     background: ByTrial
     interrupted: bool = False
+    trial_clocks: Mapping[str, Interval] | None = None
 
     @property
     def inclusion_probability(self) -> Mapping[str, float]:

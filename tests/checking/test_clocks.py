@@ -1,6 +1,5 @@
 """The clock offset of arm and camera, estimated from the motion."""
 
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -22,20 +21,14 @@ from stringcast.stages.check.clocks import check_clock_interval
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
-from stringcast.stages.clock import offset, trial_clocks
+from stringcast.stages.clock import offset
 from stringcast.stages.clock.fit import model_up_to_strips, model_with_offset
 from stringcast.stages.clock.offset import (
     ClockOffset,
     FittedOffset,
-    Interval,
     estimate_clock_offset,
     find_wrong_clock,
     refuse_wrong_clock,
-)
-from stringcast.stages.clock.posterior import clock_posterior
-from stringcast.stages.clock.trial_clocks import (
-    describe_trial_clocks,
-    find_trial_clocks,
 )
 from stringcast.stages.clock.windows import (
     Window,
@@ -44,7 +37,16 @@ from stringcast.stages.clock.windows import (
     onset_window,
     possible_windows,
 )
+from stringcast.stages.diagnose import clock_offsets
 from stringcast.stages.diagnose.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.clock_offsets import (
+    OFFSET,
+    Interval,
+    clock_posterior,
+    explains_more,
+    refit_with_one_offset,
+    scatter_of_trials,
+)
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
 
@@ -200,40 +202,6 @@ def test_trials_with_separate_clocks_get_separate_offsets():
 
 
 @pytest.mark.long
-def test_trials_whose_clocks_differ_by_a_few_frames_say_so():
-    given_s = {"t00": 0.0, "t01": 0.0135, "t02": -0.0105}
-    trials = late_by_trial(given_s)
-    model = plain_model(CHECKED)
-    found = find_trial_clocks(model, trials, np.random.default_rng(0))
-    for name, by in given_s.items():
-        interval = found.by_trial[name]
-        assert interval.low < -by < interval.high
-    sentence = describe_trial_clocks(found)
-    assert re.search(r" -1\d\.\d ms in t01 .* \+1\d\.\d ms in t02", sentence)
-
-
-@pytest.mark.parametrize(
-    "kind", ["one trial", "one begins to move", "one common clock"]
-)
-def test_clocks_that_cannot_or_do_not_differ_are_not_said_to(monkeypatch, kind):
-    trials = [seen.observation for seen in TRIALS[:2]]
-    if kind == "one trial":
-        trials = trials[:1]
-    if kind == "one begins to move":
-        trials[0] = replace(trials[0], starts_moving=True)
-    fitted = []
-
-    def estimate(model, observations, rng):
-        fitted.append([observation.trial for observation in observations])
-        return SimpleNamespace(is_common=True)
-
-    monkeypatch.setattr(trial_clocks, "estimate_clock_offset", estimate)
-    model = plain_model(CHECKED)
-    assert find_trial_clocks(model, trials, np.random.default_rng(0)) is None
-    assert fitted == ([["t00", "t01"]] if kind == "one common clock" else [])
-
-
-@pytest.mark.long
 def test_the_drift_of_a_slow_clock_is_within_its_interval():
     """The arm's clock gains 2 % on the camera's."""
     slow = []
@@ -269,10 +237,16 @@ def clock_with(log_likelihoods, misfit_m):
 def test_more_clock_parameters_need_evidence_and_half_of_the_misfit(
     gains, left_m, is_believed, monkeypatch
 ):
-    monkeypatch.setattr(clock_fit, "unexplained_tip_rms", lambda data, fit: data)
+    monkeypatch.setattr(clock_offsets, "unexplained_tip_rms", lambda data, fit: data)
     simpler = clock_with(np.zeros(len(gains)), np.full(len(gains), 0.1))
     fuller = clock_with(gains, left_m)
-    assert clock_fit.explains_more(fuller, simpler) == is_believed
+    assert explains_more(fuller, simpler) == is_believed
+
+
+def test_an_offset_explains_nothing_where_no_misfit_is_left(monkeypatch):
+    monkeypatch.setattr(clock_offsets, "unexplained_tip_rms", lambda data, fit: data)
+    nothing = clock_with((0.0, 0.0), (0.0, 0.0))
+    assert not explains_more(clock_with((9.0, 9.0), (0.0, 0.0)), nothing)
 
 
 @pytest.mark.parametrize("starts_moving", [False, True])
@@ -282,7 +256,7 @@ def test_shifted_times_are_an_offset_of_the_clocks(starts_moving):
     trial = prepare_trial(model, observation)
     fits = {}
     for offset_s in (0.0, 0.008):
-        values = model.values({clock_fit.OFFSET: offset_s})
+        values = model.values({OFFSET: offset_s})
         chi = model.exponents_of_values(dict(zip(model.names, values, strict=True)))
         for shift_s in (0.0, 0.008):
             data = TrialData((trial.shift_times(shift_s),))
@@ -304,7 +278,7 @@ def test_one_offset_is_compared_under_the_noise_of_separate_ones():
     for trial in separate.data.trials:
         noisy.append(replace(trial.shift_times(0.003), sigma=3 * trial.sigma))
     common = replace(separate, data=TrialData(tuple(noisy)))
-    refitted = clock_fit.refit_with_one_offset(common, separate, 0.0)
+    refitted = refit_with_one_offset(common, separate, 0.0)
     assert refitted.offset == pytest.approx(separate.offset - 0.003, abs=2e-4)
     # with three times the noise, it would differ by hundreds
     evidence = refitted.fit.log_evidence
@@ -316,12 +290,12 @@ def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
     mean = np.array([0.01, -0.02, 0.03, 0.0])
     own = BackgroundPosterior(mean, 0.005**2 * np.eye(4))
     excess = np.var(mean, ddof=1) - 0.005**2
-    assert offset._scatter_of_trials(own) == pytest.approx(np.sqrt(excess))
+    assert scatter_of_trials(own) == pytest.approx(np.sqrt(excess))
     # a common error is no scatter, and nearer offsets have none
     shared = replace(own, covariance=own.covariance + 1.0)
-    assert offset._scatter_of_trials(shared) == pytest.approx(np.sqrt(excess), rel=1e-3)
+    assert scatter_of_trials(shared) == pytest.approx(np.sqrt(excess), rel=1e-3)
     wide = replace(own, covariance=0.05**2 * np.eye(4))
-    assert offset._scatter_of_trials(wide) == 0.0
+    assert scatter_of_trials(wide) == 0.0
 
 
 @pytest.mark.parametrize("drift", [None, Interval(0.02, 0.01, 0.03)])
@@ -337,7 +311,7 @@ def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
     interval, found = offset._common_offset(clock, [], 0.3, 0.001, scatter_s=0.01)
     assert found is drift
     assert interval.value == pytest.approx(0.3)
-    expected_s = 2 * (offset.HALF_WIDTH * 0.005 + 0.001)
+    expected_s = 2 * (1.4 * 1.96 * 0.005 + 0.001)
     assert interval.high - interval.low == pytest.approx(expected_s)
 
 

@@ -31,7 +31,6 @@ def proposing(model, observations, rejected, held_out, obstacles, *, seed, progr
         "verdict": "ambiguous" if wanted else "effect",
         "interrupted": False,
         "causes": [],
-        "unexplained": {"where": ""},
         "trials": {"rejected": {**rejected, "t99": "no light"}},
     }
     text["next_experiment"] = (
@@ -135,36 +134,3 @@ def test_plain_diagnosis_proposes_a_motion_without_performing_it(
     assert motion.duration == pytest.approx(0.2)
     assert not list((tmp_path / "iterations").rglob("trial"))
     assert result.sentence == "So. Swing."
-
-
-@pytest.mark.parametrize(
-    ("experiment", "where", "sentence"),
-    [
-        ("diagnose", "", "So. Swing."),
-        ("diagnose", "in trial t00", "So. Swing. Clocks differ."),
-        ("decide", "in trial t00", "So. Clocks differ."),
-    ],
-)
-def test_clocks_of_stored_trials_are_fitted_where_misfit_is_left(
-    sample_trial, tmp_path, monkeypatch, experiment, where, sentence
-):
-    """A performed motion has other clocks, which an import cannot correct."""
-
-    def leave_misfit(*given, **settings):
-        made = proposing(*given, **settings)
-        document = json.loads(made.finding["diagnosis"].iloc[0])
-        text = json.dumps({**document, "unexplained": {"where": where}})
-        return replace(made, finding=made.finding.assign(diagnosis=text))
-
-    fitted = []
-
-    def describe(experiment, folder, observations):
-        fitted.append([observation.trial for observation in observations])
-        return "Clocks differ."
-
-    place = "stringcast.pipeline.modes.diagnose.describe_own_clocks"
-    monkeypatch.setattr(place, describe)
-    result = decide(sample_trial, tmp_path, experiment, leave_misfit)
-    assert result.sentence == sentence
-    assert fitted == (SEEN[:1] if where else [])
-    assert len(SEEN) == (2 if experiment == "decide" else 1)

@@ -57,7 +57,6 @@ def diagnosis(**more):
         "trials": {"rejected": {}},
         "causes": [],
         "next_experiment": None,
-        "unexplained": {"where": ""},
         **more,
     }
     row = {

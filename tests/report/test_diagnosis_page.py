@@ -213,6 +213,7 @@ def make_diagnosis(verdict, names=(), sentence="So it is.", **tables):
             "sentence": tables.pop("left", ""),
         }
     }
+    document["clocks"] = {"offsets": {}, "sentence": tables.pop("clocks", "")}
     document |= {
         "trials": {
             "used": ["t00", "t01"],
@@ -478,6 +479,11 @@ def test_data_cannot_become_code(page_of):
 def test_the_time_course_of_the_misfit_is_shown(page_of):
     course = "The unexplained misfit grows over the trial in 1 of 2 trials."
     assert course in page_of(make_diagnosis("effect", ["tip_mass"], course=course)).text
+
+
+def test_clocks_that_differ_are_stated(page_of):
+    made = make_diagnosis("unknown", clocks="The clocks differ from trial to trial.")
+    assert "The clocks differ from trial to trial." in page_of(made).text
 
 
 def test_error_budget_is_shown(page_of):

@@ -52,6 +52,7 @@ def unexplained_section(record: DiagnosisRecord) -> Section:
     """Show the unexplained misfit, the next experiment, and the extended model."""
     unexplained = record.document["unexplained"]
     texts = [unexplained[name] for name in ("sentence", "course")]
+    texts.append(record.document["clocks"]["sentence"])
     parts: list[Part] = [Text(text) for text in texts if text]
     parts.append(_unexplained_part(record))
     if proposal := record.document["next_experiment"]:
