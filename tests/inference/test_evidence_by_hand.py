@@ -67,6 +67,7 @@ def hypothesis_of(amplitude):
         parameters=(UNIT, amplitude, UNIT),
         base_indices=[0, 2],
         all_amplitude_indices=[1],
+        amplitude_indices=lambda cause: [1],
         exponents_from=lambda known: np.array([0.0, 0.25, 0.0]),
     )
 
