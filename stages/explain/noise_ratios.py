@@ -86,15 +86,21 @@ def compare_with_noise(
     estimate: until then, or as long as it is resolved itself.
     """
     fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
-    counts = [resolved_frames(*fit, MAX_MESH_ERROR_RATIO) for fit in fits]
-    resolved_counts = np.min(counts, axis=0)  # frames of each trial
-    residuals = [first_frames_residual(*fit, resolved_counts) for fit in fits]
+    counts = []  # resolved frames of each trial, (K,)
+    for likelihood, chi in fits:
+        counts.append(resolved_frames(likelihood, chi, MAX_MESH_ERROR_RATIO))
+    common_counts = np.min(counts, axis=0)
+    residuals = []
+    for likelihood, chi in fits:
+        residuals.append(first_frames_residual(likelihood, chi, common_counts))
+
+    likelihood, chi = fits[-1]
     with_causes = residuals[-1]
-    if (counts[-1] > resolved_counts).any():
-        own_residual = first_frames_residual(*fits[-1], counts[-1])
+    if (counts[-1] > common_counts).any():
+        own_residual = first_frames_residual(likelihood, chi, counts[-1])
         with_causes = max(with_causes, own_residual)
-    share = mesh_fraction(*fits[-1], estimates[-1], observations)
-    return NoiseRatios(residuals[0], with_causes, share)
+    fraction = mesh_fraction(likelihood, chi, estimates[-1], observations)
+    return NoiseRatios(residuals[0], with_causes, fraction)
 
 
 def mesh_fraction(
@@ -106,6 +112,17 @@ def mesh_fraction(
     """Compute the mean square mesh error over the mean square residual beyond noise.
 
     NaN if the finer string diverges, and 0 if the estimate subtracted the error.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        The trials and the mesh of the estimate.
+    chi : numpy.ndarray, shape (P,)
+        Exponents of the estimate.
+    estimate : Estimate
+        The estimate, for its residual.
+    observations : sequence of Observation
+        The same trials, for their noise.
     """
     if estimate.mesh_error_m > 0:
         return 0.0
