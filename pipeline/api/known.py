@@ -19,7 +19,7 @@ from stringcast.data.store import read_table, write_text
 from stringcast.pipeline.cli.terminal import explain_hydra_error
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.file_names import artifact_tables
-from stringcast.pipeline.run.picture_source import refuse_unusable_source
+from stringcast.pipeline.run.picture_source import use_given_source
 from stringcast.pipeline.settings.composition import (
     UserError,
     compose_settings,
@@ -196,8 +196,7 @@ def experiment_for_call(
     for block, value in ({} if string is None else string.settings).items():
         OmegaConf.update(config, block, value, merge=True)
     restore_given_settings(config, composed, names)
-    settings = inherit_settings(config, names)
-    refuse_unusable_source(settings, names)
+    settings = use_given_source(inherit_settings(config, names), names)
     return prepare_experiment(settings, lambda block: f"conf/{block} or this call")
 
 

@@ -12,23 +12,19 @@ SOURCE_PLACES = {"path": "film", "folder": "folder of images"}  # by setting
 
 
 def use_given_source(settings: Settings, given: set[str]) -> Settings:
-    """Return the settings with a given source in place of the virtual camera."""
-    hardware = settings["hardware"]
-    is_given = any(name.partition(".")[0] == "source" for name in given)
-    is_free = "source" in hardware and hardware["source"] is None
-    if not (is_given and is_free):
-        return settings
-    return {**settings, "hardware": {**hardware, "source": settings["source"]}}
+    """Return the settings with a given source in place of the virtual camera.
 
-
-def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
-    """Raise UserError for an unused or missing source of pictures.
-
-    given: names of settings on the command line.
+    given: names of settings on the command line. Raises UserError for an unused or
+    missing source.
     """
+    hardware = settings["hardware"]
+    given_sources = sorted(n for n in given if n.partition(".")[0] == "source")
+    is_free = "source" in hardware and hardware["source"] is None
+    if given_sources and is_free:
+        hardware = {**hardware, "source": settings["source"]}
+        settings = {**settings, "hardware": hardware}
     mode: Mode = build_chosen(settings["mode"], "mode", "conf/mode")
     used_sources = mode.picture_sources(settings)
-    given_sources = sorted(n for n in given if n.partition(".")[0] == "source")
     if given_sources and not used_sources:
         name = given_sources[-1]
         key = name.partition(".")[2]
@@ -49,3 +45,4 @@ def refuse_unusable_source(settings: Settings, given: set[str]) -> None:
                     f"{block}.{key} = {path} (conf/source or the command line): there "
                     f"is no such {kind}. Give its path from {Path.cwd()}."
                 )
+    return settings

@@ -22,10 +22,7 @@ from stringcast.pipeline.run import run_folder
 from stringcast.pipeline.run.cost import LIMIT, ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.run.log import log_to_folder
-from stringcast.pipeline.run.picture_source import (
-    refuse_unusable_source,
-    use_given_source,
-)
+from stringcast.pipeline.run.picture_source import use_given_source
 from stringcast.pipeline.run.result import RunResult
 from stringcast.pipeline.settings.composition import conf_folders, given_names
 from stringcast.pipeline.settings.settings_from_runs import (
@@ -75,7 +72,6 @@ def run_from_config(config: DictConfig, console: Terminal) -> RunResult:
     settings = inherit_settings(config, given)
     refuse_inherited_limits(settings, own_settings, f"trials={config.trials}")
     used_settings = use_given_source(settings, given)
-    refuse_unusable_source(used_settings, given)
     experiment = prepare_experiment(used_settings, file_of_block)
     ask_about_cost(experiment, config[LIMIT], console)
     folder = Path(HydraConfig.get().runtime.output_dir)

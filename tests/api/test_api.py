@@ -19,6 +19,13 @@ BENCH = {"links": [0.25, 0.20, 0.135], "base": [0.2, 0.2]}
 HEAVY = ("numba", "cv2", "matplotlib", "pandas", "hydra", "pyarrow")
 
 
+def test_emulated_arm_is_filmed_by_a_given_camera():
+    words = ("hardware=emulator", "source.seconds=7.0")
+    config = experiment_for_call(words, None).config
+    assert config["hardware"]["source"] == config["source"]
+    assert config["source"]["seconds"] == 7.0
+
+
 def test_importing_the_package_loads_nothing():
     code = f"import stringcast, sys; print([m for m in {HEAVY} if m in sys.modules], len(dir(stringcast)))"
     said = subprocess.run(
