@@ -37,7 +37,6 @@ from stringcast.stages.inference.search import (
     with_refined_initial_states,
 )
 from stringcast.stages.inference.trial_data import ByTrial
-from stringcast.stages.inference.whitening import IndependentErrors
 
 FINE_ITERATIONS = 3  # on the finest mesh; more do not change the corrected solution
 MAX_CORRECTIONS = 12  # three to nine are enough for strings that the mesh resolves
@@ -110,8 +109,7 @@ def subtract_uncertain_error(
     trials = []
     residuals = at_limit.data.residuals(at_limit.model, chi[None])
     for trial, residual in zip(at_limit.data.trials, residuals, strict=True):
-        errors = trial.error_model
-        assert isinstance(errors, IndependentErrors)
+        errors = trial.independent_errors
         assert errors.nuisance is not None
         shapes = errors.nuisance  # over sigma, (2 n, M)
         scaled = residual[0] / errors.scale
@@ -143,12 +141,9 @@ def _with_uncertain_errors(
     """Add shapes of uncertain errors over sigma (2 n,) to the nuisance of trials."""
     trials = []
     for trial, uncertainty in zip(likelihood.data.trials, uncertainties, strict=True):
-        errors = trial.error_model
-        assert isinstance(errors, IndependentErrors)
-        nuisance = np.nan_to_num(uncertainty)[:, None]
-        if errors.nuisance is not None:
-            nuisance = np.hstack([errors.nuisance, nuisance])
-        trials.append(replace(trial, error_model=replace(errors, nuisance=nuisance)))
+        shape = np.nan_to_num(uncertainty)[:, None]
+        errors = trial.independent_errors.with_nuisance(shape)
+        trials.append(replace(trial, error_model=errors))
     return likelihood.with_trials(trials)
 
 
@@ -158,8 +153,7 @@ def _loss_at_noise(
     """Compute the loss at exponents (P,) with a given noise scale for each trial."""
     trials = []
     for trial, scale in zip(likelihood.data.trials, noise_scales, strict=True):
-        errors = trial.error_model
-        assert isinstance(errors, IndependentErrors)
-        trials.append(replace(trial, error_model=replace(errors, scale=scale)))
+        errors = replace(trial.independent_errors, scale=scale)
+        trials.append(replace(trial, error_model=errors))
     residual = likelihood.with_trials(trials).residuals(chi[None])
     return float(huber_loss(residual, likelihood.limit)[0])

@@ -99,6 +99,12 @@ class PreparedTrial:
         return self.error_model
 
     @property
+    def independent_errors(self) -> IndependentErrors:
+        """The error model of a trial whose discrepancy is not modelled."""
+        assert isinstance(self.error_model, IndependentErrors)
+        return self.error_model
+
+    @property
     def start(self) -> float:
         """Start time of its simulation [s]."""
         state = self.initial_state

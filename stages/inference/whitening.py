@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,6 +59,11 @@ class IndependentErrors:
         """Whiten residuals over sigma (C, 2 n)."""
         scaled = residual / self.scale
         return scaled if self._low_rank is None else self._low_rank(scaled)
+
+    def with_nuisance(self, shapes: np.ndarray) -> IndependentErrors:
+        """Add nuisance shapes (2 n, m) over sigma after the present ones."""
+        present = [] if self.nuisance is None else [self.nuisance]
+        return replace(self, nuisance=np.hstack([*present, shapes]))
 
     @cached_property
     def _low_rank(self) -> LowRankWhitening | None:
