@@ -136,12 +136,12 @@ def explain(
         comparer,
         effects,
         fitted,
-        finalists,
-        tolerance_m,
-        budget,
-        is_surprising,
-        earlier,
-        rivals,
+        max_finalists=finalists,
+        tolerance_m=tolerance_m,
+        budget=budget,
+        is_surprising=is_surprising,
+        earlier=earlier,
+        rivals=rivals,
     )
     search.run()
     evidence = weigh_evidence(search, previous)
@@ -177,9 +177,9 @@ def weigh_evidence(search: CauseSearch, previous: Explanation | None) -> Evidenc
         compared,
         probabilities,
         noise_ratios,
-        search.tolerance_m,
-        search.is_complete,
-        is_checked,
+        tolerance_m=search.tolerance_m,
+        is_complete=search.is_complete,
+        is_checked=is_checked,
     )
 
 
