@@ -20,7 +20,7 @@ from stringcast.stages.common import rms
 from stringcast.stages.explain.comparison import Comparison, bic_penalty, rms_m
 from stringcast.stages.inference.covariance import linearise
 from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.likelihood import Likelihood
+from stringcast.stages.inference.likelihood import Likelihood, time_blocks
 from stringcast.stages.inference.mesh import (
     REFERENCE_REFINEMENT,
     likelihood_on_mesh,
@@ -114,17 +114,19 @@ class Comparer:
         """Compute the mean square residual with an effect in linear approximation.
 
         The change of the residuals by each probe is one more column of the linear
-        model. The least mean square over the probes is returned. It costs a tenth of
-        `screen`.
+        model. The least mean square over the probes is returned, with the weights of
+        blocks. It costs a tenth of `screen`.
         """
         hypothesis, coarse, absent = self._on_coarse_mesh_with(effect)
         probes = self._draw_probes(hypothesis, effect, absent)
         # Residuals of the base (N,) and of each probe (PROBES, N)
-        unexplained, *probed = coarse.residuals(np.vstack([absent, probes]))
+        residuals = coarse.residuals(np.vstack([absent, probes]))
+        unexplained, *probed = np.sqrt(self._block_weights) * residuals
+        base_slopes = np.sqrt(self._block_weights) * self._coarse_slopes
         base_chi = absent[hypothesis.base_indices]
         least = float(np.mean(unexplained**2))
         for with_effect, fraction in zip(probed, PROBE_FRACTIONS, strict=True):
-            slopes = np.vstack([self._coarse_slopes, with_effect - unexplained])
+            slopes = np.vstack([base_slopes, with_effect - unexplained])
             normal = slopes @ slopes.T / len(unexplained)
             gradient = slopes @ unexplained / len(unexplained)
             # Multiples of the probe reach from absent to the end of its range
@@ -257,6 +259,19 @@ class Comparer:
         coarse = self._likelihood_on_mesh(Hypothesis(self.model), self._coarse_factor)
         corrected = with_corrected_points(coarse, self._base_chi)
         return with_estimated_noise(corrected, self._base_chi)
+
+    @cached_property
+    def _block_weights(self) -> np.ndarray:
+        """Weights of residuals in the linear approximation, (N,).
+
+        Where a string whips, small errors have grown, and the residual is no longer
+        linear in the parameters. So the misfit of the base reduces the weight of its
+        block of time, as in a fit with Cauchy errors.
+        """
+        residual = self._coarse_base.residuals(self._base_chi[None])[0]
+        block = time_blocks(self._coarse_base.data.trials)
+        mean_square = np.bincount(block, residual**2) / np.bincount(block)
+        return np.asarray(1 / (1 + mean_square[block]))
 
     @cached_property
     def _coarse_slopes(self) -> np.ndarray:

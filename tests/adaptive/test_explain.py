@@ -883,11 +883,30 @@ def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
 ):
     model = Model(implicit_string(20, 1e-3), arm, camera)
     compare = comparer_of(model, observe({cause: values}))
+    compare.__dict__["_block_weights"] = np.ones_like(compare._block_weights)
     (effect, absent) = find_effects([cause, "pixel_scale"])
     explained = compare.linear_mean_square(effect) / compare.linear_mean_square(absent)
     assert explained < 0.7
     refined = compare.screen(effect).rms_m / compare.screen(absent).rms_m
     assert np.sqrt(explained) == pytest.approx(refined, rel=0.1)
+
+
+def test_linear_ranking_stands_a_block_that_nothing_explains(arm, camera, observe):
+    """The tip is 50 mm aside in the last 50 ms; before that, wind explains all."""
+    observation = observe({"wind": {"along_x": 0.8, "along_y": 0.0}})
+    points = observation.points.copy()
+    is_late = points["t"] > points["t"].max() - 0.05
+    points.loc[is_late, "y"] += 0.05 * points.loc[is_late, "s"] / points["s"].max()
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    compare = comparer_of(model, replace(observation, points=points))
+    effects = find_effects(
+        ["wind", "grasp_angle", "clamp", "pixel_scale", "joint_gain"]
+    )
+    squares = {each.name: compare.linear_mean_square(each) for each in effects}
+    assert min(squares, key=squares.get) == "wind"
+    compare.__dict__["_block_weights"] = np.ones_like(compare._block_weights)
+    squares = {each.name: compare.linear_mean_square(each) for each in effects}
+    assert min(squares, key=squares.get) != "wind"
 
 
 def test_no_effect_is_evident_if_none_is_hidden(screened):
