@@ -170,10 +170,26 @@ def _fit_more_proposals(
 
     sampled: the trials that are fitted first (`_sample_trials`).
     """
-    data = prepared.data
     parent = step.parent
-    sample, sampled_parent = sampled
     min_gain = precision_to_rank(_best_gain(step))
+    fits = _fit_proposals(prepared.data, parent, proposals, sampled, min_gain)
+    least_evidence = least_evidence_of_rivals([*step.fits, *fits], parent, criteria)
+    fits = _correct_leading_fits(prepared, parent, fits, least_evidence, min_gain)
+    return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+
+
+def _fit_proposals(
+    data: TrialData,
+    parent: Fit,
+    proposals: Sequence[Proposal],
+    sampled: tuple[TrialData, Fit],
+    min_gain: float,
+) -> list[Fit]:
+    """Fit proposals from their starts, first to sampled trials.
+
+    A fit that explains less than its parent starts again there.
+    """
+    sample, sampled_parent = sampled
 
     def fit_proposal(number: int) -> Fit:
         proposal = proposals[number]
@@ -182,22 +198,33 @@ def _fit_more_proposals(
         hypothesis = proposal.hypothesis
         grid_points = sampled_parent.grid_points
         fit = fit_hypothesis(sample, hypothesis, proposal.starts, grid_points, min_gain)
+        grid_points = parent.grid_points
         if sample is not data:
-            grid_points = parent.grid_points
             start = fit.chi[None]
             fit = fit_hypothesis(data, hypothesis, start, grid_points, min_gain)
         if _is_worse_than_contained(fit, parent):
             absent = hypothesis.exponents_from(parent.exponents)[None]
-            grid_points = parent.grid_points
             fit = fit_hypothesis(data, hypothesis, absent, grid_points, min_gain)
         gain = fit.log_evidence - parent.log_evidence
         log.info("%s: log evidence %+.1f, proposed %.1f", name, gain, proposal.gain)
         return fit
 
-    fits = fit_in_workers(fit_proposal, [p.hypothesis for p in proposals])
+    return fit_in_workers(fit_proposal, [p.hypothesis for p in proposals])
 
-    # Refit those that may lead with their own numerical error
-    least_evidence = least_evidence_of_rivals([*step.fits, *fits], parent, criteria)
+
+def _correct_leading_fits(
+    prepared: PreparedData,
+    parent: Fit,
+    fits: Sequence[Fit],
+    least_evidence: float,
+    min_gain: float,
+) -> list[Fit]:
+    """Refit those that may lead with their own numerical error; return all.
+
+    The error from one finer mesh is rough, so the larger evidence is kept.
+
+    least_evidence: log evidence that a leading fit exceeds.
+    """
     leading = [k for k, fit in enumerate(fits) if fit.log_evidence > least_evidence]
 
     def correct_roughly(number: int) -> Fit:
@@ -210,11 +237,11 @@ def _fit_more_proposals(
         return corrected
 
     corrections = fit_in_workers(correct_roughly, [fits[k].hypothesis for k in leading])
+    better = list(fits)
     for k, corrected in zip(leading, corrections, strict=True):
-        # The error from one finer mesh is rough: keep the larger evidence
         if corrected.log_evidence > fits[k].log_evidence:
-            fits[k] = corrected
-    return replace(step, fits=rank_rivals(parent, [*step.fits, *fits], criteria))
+            better[k] = corrected
+    return better
 
 
 def _is_worse_than_contained(fit: Fit, parent: Fit) -> bool:
