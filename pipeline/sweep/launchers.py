@@ -37,14 +37,7 @@ def joblib(
 ) -> Iterator[str]:
     """Run jobs in parallel on this machine, in threads that wait for processes.
 
-    Parameters
-    ----------
-    attempts : sequence of Attempt
-        Jobs to run.
-    workers : int
-        Parallel jobs; 0: as many as the cores allow.
-    threads : int
-        Threads of each job.
+    0 workers: as many as the cores allow.
     """
     package = import_package("joblib", "joblib")
     run_parallel = package.Parallel(
@@ -65,16 +58,7 @@ def ray(
 ) -> Iterator[str]:
     """Run jobs on a Ray cluster, whose machines share all folders and Python.
 
-    Parameters
-    ----------
-    attempts : sequence of Attempt
-        Jobs to run.
-    address : str or None
-        Address of the cluster's head; None starts one on this machine.
-    threads : int
-        Threads and cores of a job.
-    resources : dict
-        Further resources of a job for `ray.remote`, such as {"memory": 2e9}.
+    `resources` are further ones of a job for `ray.remote`, such as {"memory": 2e9}.
     """
     package = import_package("ray", "ray")
     try:
@@ -103,16 +87,7 @@ def slurm(
 ) -> Iterator[str]:
     """Run jobs in the queue of a Slurm cluster, whose machines share all folders.
 
-    Parameters
-    ----------
-    attempts : sequence of Attempt
-        Jobs to run.
-    cluster : str
-        "slurm", or "local": this machine, without a queue.
-    threads : int
-        Threads and cores of a job.
-    parameters : dict
-        Parameters of the queue for submitit, such as `timeout_min` and `mem_gb`.
+    `parameters` are those of the queue for submitit, such as `timeout_min`.
     """
     package = import_package("submitit", "slurm")
     executor = package.AutoExecutor(
