@@ -25,7 +25,10 @@ from stringcast.pipeline.run.cost import ask_about_cost
 from stringcast.pipeline.run.experiment import Experiment
 from stringcast.pipeline.run.file_names import SUMMARY_FILE
 from stringcast.pipeline.run.iterations import Iteration, Step
-from stringcast.pipeline.run.provenance import arm_is_virtual, load_step_with_staleness
+from stringcast.pipeline.run.provenance import (
+    lab_is_repeatable,
+    load_step_with_staleness,
+)
 from stringcast.pipeline.run.result import RunResult, run_summary
 from stringcast.pipeline.settings.composition import UserError
 
@@ -93,7 +96,7 @@ class Verification:
         if stored.artifact is None:
             self.note(name, stored.stale_reasons)
             raise NotMadeError
-        if step.stage.moves_arm and not arm_is_virtual(experiment.config):
+        if step.stage.moves_arm and not lab_is_repeatable(experiment.config):
             self.lines.append(f"{name}: {UNREPEATABLE_NOTE}")
             return stored.artifact
         with self.bar(f"{step.number}. {step.stage.name}") as progress:

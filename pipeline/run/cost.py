@@ -18,8 +18,7 @@ import numpy as np
 from stringcast.data import dataset
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run.experiment import ALL_TRIALS, Experiment
-from stringcast.pipeline.run.provenance import setting_of
-from stringcast.pipeline.settings.composition import Settings, UserError
+from stringcast.pipeline.settings.composition import Settings, UserError, setting_of
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import load_object
 from stringcast.stages.spec import string_counts

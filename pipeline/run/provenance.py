@@ -24,7 +24,11 @@ from stringcast.data.schema import DataError
 from stringcast.pipeline.run.file_names import artifact_folder
 from stringcast.pipeline.run.iterations import Step
 from stringcast.pipeline.run.stage_graph import INPUTS_SETTING, StageGraph
-from stringcast.pipeline.settings.composition import UserError, flatten_settings
+from stringcast.pipeline.settings.composition import (
+    UserError,
+    flatten_settings,
+    setting_of,
+)
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import PLUGIN_PREFIX, plugin_folders, plugin_sources
 
@@ -42,7 +46,7 @@ RECORDED_PACKAGES = (
 )
 MAX_SOURCE_BYTES = 2**26  # [bytes]: of larger plugin files only the size counts
 CODE_FOLDERS = ("data", "hardware", "pipeline", "stages")
-VIRTUAL_LAB_PREFIX = "hardware.virtual."  # its trials can be repeated bit by bit
+REPEATABLE_LAB_PREFIX = "hardware.virtual."  # trials of the emulator never repeat
 # required parts of an origin
 PARTS_OF_ORIGIN = {"step", "seed", "inputs", "config", "code", "packages", "python"}
 UNKNOWN_CODE = {"commit": "unknown", "source": "unknown"}
@@ -281,14 +285,6 @@ def decisive_values(origin: Mapping[str, Any], uses: Sequence[str]) -> dict[str,
     return values | {"Python": origin["python"]}
 
 
-def setting_of(config: Mapping[str, Any], name: str) -> Any:
-    """Return a setting by its full name, such as `estimate.inputs`; None without it."""
-    value: Any = config
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return value
-
-
 def differing_values(
     first: Mapping[str, Any], second: Mapping[str, Any]
 ) -> list[tuple[str, Any, Any]]:
@@ -301,9 +297,9 @@ def differing_values(
     return differing
 
 
-def arm_is_virtual(config: Mapping[str, Any]) -> bool:
-    """Return whether the arm is virtual, so that trials can be repeated."""
-    return str(config["hardware"]["_target_"]).startswith(VIRTUAL_LAB_PREFIX)
+def lab_is_repeatable(config: Mapping[str, Any]) -> bool:
+    """Return whether arm and camera are simulated: trials repeat to the bit."""
+    return str(config["hardware"]["_target_"]).startswith(REPEATABLE_LAB_PREFIX)
 
 
 def arm_has_executed(
@@ -315,7 +311,7 @@ def arm_has_executed(
     of all earlier iterations. `number` and `stage` are the iteration and the stage that
     made the artifact; `config` and `graph` are those of the run.
     """
-    if arm_is_virtual(config) or graph.movement is None:
+    if lab_is_repeatable(config) or graph.movement is None:
         return False
     moved = number if graph.precedes_movement(stage) else number + 1
     return (folder / artifact_folder(moved, graph.movement)).is_dir()

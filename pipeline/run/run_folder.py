@@ -40,8 +40,8 @@ from stringcast.pipeline.run.iterations import Iteration, Step
 from stringcast.pipeline.run.kept_files import KeptFiles
 from stringcast.pipeline.run.provenance import (
     arm_has_executed,
-    arm_is_virtual,
     current_origin,
+    lab_is_repeatable,
     load_step_with_staleness,
     software_versions,
     step_origin,
@@ -258,7 +258,7 @@ def remove_frames(experiment: Experiment, result: RunResult) -> None:
 
     Frames of a real camera stay, as they cannot be filmed again.
     """
-    if not arm_is_virtual(experiment.config):
+    if not lab_is_repeatable(experiment.config):
         return
     for iteration in result.iterations:
         for name, artifact in iteration.artifacts.items():

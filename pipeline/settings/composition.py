@@ -104,6 +104,14 @@ def setting_names(block: Any, prefix: str = "") -> Iterator[str]:
             yield from setting_names(value, f"{prefix}{name}.")
 
 
+def setting_of(settings: Settings, name: str) -> Any:
+    """Return a setting by its full name, such as `estimate.inputs`; None without it."""
+    value: Any = settings
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
 def flatten_settings(block: Any, prefix: str = "") -> dict[str, Any]:
     """Return every value of nested settings by its full name."""
     if not isinstance(block, dict) or not block:

@@ -12,7 +12,7 @@ from stringcast.data.estimates import Estimate
 from stringcast.data.schema import Column, Table, parse_columns
 from stringcast.data.store import read_table
 from stringcast.pipeline.run.file_names import artifact_tables
-from stringcast.pipeline.run.provenance import setting_of
+from stringcast.pipeline.settings.composition import setting_of
 from stringcast.pipeline.sweep.ledger import DONE_STATE, Job, Ledger
 
 SWEEP_TABLE = Table(
