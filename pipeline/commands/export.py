@@ -102,7 +102,7 @@ def write_mjcf(options: argparse.Namespace) -> None:
 def compare_with_trials(
     run: Path, string: KnownString, mass: float, step: float
 ) -> list[str]:
-    """Print the tip errors of MuJoCo and of our model in the run's trials."""
+    """Return lines with the tip errors of MuJoCo and of our model, for each trial."""
     model, trials = trials_of_run(run, string)
     values = model.values({})
     lines = [

@@ -30,8 +30,13 @@ def compose_settings(overrides: Sequence[str] = ()) -> Any:
     Overrides are as on the command line, such as ``seed=3``.
     """
     settings = copy.deepcopy(_compose_cached(tuple(overrides), conf_folders()))
-    settings[PLUGINS_SETTING] = [str(folder) for folder in plugin_folders().values()]
+    settings[PLUGINS_SETTING] = named_folders()
     return settings
+
+
+def named_folders() -> list[str]:
+    """Return the folders of all plugins named by the user."""
+    return [str(folder) for folder in plugin_folders().values()]
 
 
 def conf_folders() -> tuple[Path, ...]:

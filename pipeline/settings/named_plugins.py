@@ -20,6 +20,7 @@ from stringcast.pipeline.settings.composition import (
     PLUGINS_SETTING,
     Settings,
     UserError,
+    named_folders,
 )
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.model.library import effects_by_name
@@ -60,11 +61,6 @@ def name_plugins(overrides: Sequence[str]) -> None:
                     f"separates paths in {PLUGINS_VARIABLE}. Rename the folder."
                 )
         set_plugins([*named_folders(), *map(str, value)])
-
-
-def named_folders() -> list[str]:
-    """Return the folders of all plugins named by the user."""
-    return [str(folder) for folder in plugin_folders().values()]
 
 
 def set_plugins(folders: Sequence[str]) -> None:

@@ -15,12 +15,10 @@ from stringcast.pipeline.settings.composition import (
     PLUGINS_SETTING,
     UserError,
     flatten_settings,
+    named_folders,
     setting_names,
 )
-from stringcast.pipeline.settings.named_plugins import (
-    named_folders,
-    require_named_plugins,
-)
+from stringcast.pipeline.settings.named_plugins import require_named_plugins
 from stringcast.pipeline.settings.typed_settings import build_chosen, require_allowed
 from stringcast.stages.calibrate import CAMERA
 from stringcast.stages.spec import EXTENDED
