@@ -2,7 +2,8 @@
 
 Two moves lead from a set of causes to another one, as in subset selection for
 regression [1]_. A forward step adds an effect. A swap exchanges a cause for another
-effect or for none, because one that was added early may imitate others.
+effect, because one that was added early may imitate another one. It may also explain
+nothing once the others are known; so the best causes are compared without each of them.
 
 Both screen all effects in addition to a **base**: the set of causes of a forward step,
 or that of a swap without the exchanged cause. In a screening, a linear approximation
@@ -127,6 +128,8 @@ class CauseSearch:
     ----------
     screenings : dict
         Screenings by the causes of their base.
+    parts : dict
+        Finalists of explaining causes without one of them, by their causes.
     rival_gain : float
         Largest log evidence that the fit of a rival gained over that of earlier trials.
     unfitted : set
@@ -145,6 +148,7 @@ class CauseSearch:
     earlier: Collection[Causes] = ()
     rivals: Sequence[Finalist] = ()
     screenings: dict[Causes, Screening] = field(default_factory=dict, init=False)
+    parts: dict[Causes, Finalist] = field(default_factory=dict, init=False)
     rival_gain: float = field(default=0.0, init=False)
     unfitted: set[Causes] = field(default_factory=set, init=False)
     is_complete: bool = field(default=True, init=False)
@@ -157,6 +161,7 @@ class CauseSearch:
         rivals: a screening leaves them out.
         """
         while True:
+            self.compare_parts()
             base = self.next_base()
             waiting = self.waiting_finalists()
             leads = base is not None and base.causes == self.most_probable.causes
@@ -223,18 +228,34 @@ class CauseSearch:
         If this part was not fitted, its residual is not known, and added effects start
         from the fit of all causes.
         """
-        for left_out in best.causes:
-            part = tuple(cause for cause in best.causes if cause != left_out)
+        for part in parts_of(best.causes):
             if part in self.screenings:
                 continue
             if part in self.fitted:
                 return self.fitted[part]
+            if part in self.parts:
+                return self.parts[part].comparison
             known = []
             for causes, comparison in self.comparisons().items():
                 if set(causes) <= set(part):
                     known.append(comparison.log_evidence)
             return Comparison(part, max(known), np.nan, screened=best.exponents)
         return None
+
+    def compare_parts(self) -> None:
+        """Compare the best causes without each of them, if they explain the trials.
+
+        A cause that was added early may explain nothing once the others are known.
+        """
+        best = self.best
+        if len(best.causes) < 2 or not self.is_explained(best):
+            return
+        known = self.comparisons()
+        for part in parts_of(best.causes):
+            if part not in known:
+                base = Comparison(part, 0.0, np.nan, screened=best.exponents)
+                comparer = self.comparer.with_base(base)
+                self.parts[part] = Finalist((), comparer, comparer.screen_base())
 
     def has_time_to_screen(self, base: Comparison) -> bool:
         """Return whether there is time for a screening and a fit.
@@ -253,8 +274,7 @@ class CauseSearch:
     def screen(self, base: Comparison) -> None:
         """Compare all effects in addition to a base.
 
-        Effects are ranked in linear approximation, and the best are refined. The base
-        of a swap is compared, too: the left-out cause may explain nothing. A slow
+        Effects are ranked in linear approximation, and the best are refined. A slow
         effect is deferred, unless it is far more evident than the others.
         """
         comparer = self.comparer.with_base(base)
@@ -271,10 +291,8 @@ class CauseSearch:
             for effect in ranked[:count]:
                 comparison = comparer.screen(effect)
                 finalists.append(Finalist((effect,), comparer, comparison))
-            if base.causes not in comparisons:
-                finalists.append(Finalist((), comparer, comparer.screen_base()))
 
-        finalists.sort(key=lambda each: -self.log_posterior(each.comparison))
+        finalists.sort(key=lambda each: -each.comparison.log_evidence)
         quick = [f.comparison.log_evidence for f in finalists if not f.is_slow]
         for number, finalist in enumerate(finalists):
             lead = finalist.comparison.log_evidence - max(quick, default=-np.inf)
@@ -289,6 +307,7 @@ class CauseSearch:
         """
         # Each with the gain that a fit may have
         finalists = [(rival, self.rival_gain) for rival in self.rivals]
+        finalists += [(part, 0.0) for part in self.parts.values()]
         for screening in self.screenings.values():
             for finalist in screening.finalists[: self.max_finalists]:
                 finalists.append((finalist, screening.fit_gain))
@@ -323,7 +342,7 @@ class CauseSearch:
         gain = fitted.log_evidence - finalist.comparison.log_evidence
         if finalist.is_rival:
             self.rival_gain = max(gain, self.rival_gain)
-        else:
+        elif causes not in self.parts:
             screening = self.screenings[finalist.comparer.base.causes]
             screening.fit_gain = max(gain, screening.fit_gain)
 
@@ -361,6 +380,8 @@ class CauseSearch:
             blocks = rival.comparer.blocks
             expected = rival.comparison.with_gain(self.rival_gain, blocks)
             known[expected.causes] = expected
+        for causes, part in self.parts.items():
+            known[causes] = part.comparison
         known.update(self.fitted)
         for screening in self.screenings.values():
             for finalist in screening.finalists:
@@ -441,3 +462,8 @@ class CauseSearch:
                 (estimate, comparison.estimate),
             )
         return self._noise_ratios[causes]
+
+
+def parts_of(causes: Causes) -> list[Causes]:
+    """List causes without each of them."""
+    return [tuple(c for c in causes if c != left_out) for left_out in causes]

@@ -347,6 +347,18 @@ def test_cause_that_was_added_first_is_dropped_if_the_others_explain_as_much(
     assert searched.best.causes == ("tip_mass", "wind")
 
 
+def test_confirmed_causes_are_compared_without_each_of_them(search, monkeypatch):
+    """A look had no time to find that a tilt of gravity explains nothing."""
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.0)
+    searched = search.begin(ALL_FOUR)
+    names = "gravity_direction tip_mass wind"
+    with_rivals_of_earlier(searched, names)
+    searched.earlier = {tuple(names.split())}
+    assert searched.is_confirmed(searched.best)
+    searched.run()
+    assert searched.best.causes == ("tip_mass", "wind")
+
+
 def test_base_of_a_swap_has_the_exponents_of_the_best_but_not_their_residual(search):
     searched = search.begin(ALL_FOUR)
     wind = searched.comparer.fit(find_effects(["wind"]), None)
@@ -623,6 +635,9 @@ def explain_and_list(monkeypatch, arm, camera, observe):
         found = fitted_comparison(causes, 20.0, known_m)
         monkeypatch.setattr(CauseSearch, "screen", screen)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
+        monkeypatch.setattr(
+            Comparer, "screen_base", lambda self: self.compare((), left_m)
+        )
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
         monkeypatch.setattr(CauseSearch, "noise_ratios_of", lambda *given: ratios)
         for name in ("average_over_causes", "estimate_without_causes"):
