@@ -13,6 +13,7 @@ import numpy as np
 
 Progress = Callable[[float], object]  # called with the share of a stage that is done
 MM_PER_M = 1e3  # [mm] in a metre
+MS_PER_S = 1e3  # [ms] in a second
 GRAVITY_M_S2 = 9.81
 NORMAL_95 = 1.96  # half of a 95 % interval in standard deviations
 # standard deviation over median magnitude, of a normal distribution

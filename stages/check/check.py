@@ -10,6 +10,7 @@ from functools import lru_cache
 from stringcast.data.schema import DataError
 from stringcast.stages.check import clocks, contents, frames, marks, motion, samples
 from stringcast.stages.check.consistency import check as consistency
+from stringcast.stages.check.consistency.trial_clocks import check_trial_clocks
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import CheckedDataset
 
@@ -35,6 +36,7 @@ CHECKS: tuple[Check, ...] = (
     clocks.check_rest,
     clocks.check_onsets,
     clocks.check_clock_interval,
+    check_trial_clocks,
     clocks.check_overlap,
     clocks.check_frame_rate,
     motion.check_fall,

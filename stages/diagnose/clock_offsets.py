@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtrc
 
-from stringcast.stages.common import NORMAL_95, rms
+from stringcast.stages.common import MS_PER_S, NORMAL_95, rms
 from stringcast.stages.diagnose.background_effects import (
     BackgroundPosterior,
     background_responses,
@@ -38,7 +38,6 @@ MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
 # Least uncertainty of a camera's time stamps, as a share of the time between frames
 STAMP_UNCERTAINTY_FRAMES = 0.1
 SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
-MS_PER_S = 1e3  # [ms] in a second
 MAX_SCALE_M = 0.1  # of the tip displacement by effects
 SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
 

@@ -1,5 +1,6 @@
 """The clock offset of arm and camera, estimated from the motion."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ from stringcast.pipeline.commands.check import (
 )
 from stringcast.pipeline.commands.clock_fit import plain_model
 from stringcast.stages.check.clocks import check_clock_interval
+from stringcast.stages.check.consistency.trial_clocks import check_trial_clocks
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
@@ -435,6 +437,40 @@ def test_a_stated_interval_is_the_range_of_the_offset_in_every_model(tmp_path):
     assert (offset["low"], offset["high"]) == pytest.approx((-0.0175, 0.0275))
     plain = settings_for_data(SAMPLE, [], "+experiment=diagnose")
     assert plain["effects"] == []
+
+
+def checked_with_late_trials(late_s, clock=None):
+    """Return the sample with some seconds added to the times of its first trials."""
+    trials = dict(CHECKED.data.trials)
+    for seen, by in zip(TRIALS, late_s, strict=False):
+        trials[seen.name] = late(seen, by, tip_alone=False).observation
+    metadata = {**CHECKED.data.metadata, **({"clock": clock} if clock else {})}
+    return replace(
+        CHECKED, data=replace(CHECKED.data, trials=trials, metadata=metadata)
+    )
+
+
+@pytest.mark.parametrize(
+    "late_s",
+    [(0.0,) * 5, (0.013,) * 5, (0.0, 0.03)],
+    ids=["none", "all alike", "one alone"],
+)
+def test_one_clock_or_one_odd_trial_are_not_said_to_differ(late_s):
+    assert not list(check_trial_clocks(checked_with_late_trials(late_s)))
+
+
+def test_check_says_that_clocks_differ_from_trial_to_trial():
+    late_s = (0.0, 0.0135, -0.0107, 0.004, -0.006)
+    (found,) = check_trial_clocks(checked_with_late_trials(late_s))
+    assert found.severity == Severity.WARNING
+    ends = re.search(
+        r"between (\S+) ms in trial t01 and (\S+) ms in trial t02", found.statement
+    )
+    offsets_ms = [float(end) for end in ends.groups()]
+    assert offsets_ms == pytest.approx([-13.5, 10.7], abs=2.5)
+    assert "--clock fit" in found.remedy
+    stated = {"low": -0.02, "high": 0.02}
+    assert not list(check_trial_clocks(checked_with_late_trials(late_s, stated)))
 
 
 def test_a_wide_interval_is_noted_with_a_remedy(tmp_path):
