@@ -313,13 +313,10 @@ class CauseSearch:
                 finalists.append((finalist, screening.fit_gain))
 
         best = self.best
-        is_explained = self.is_explained(best)
         waiting = []
         for finalist, fit_gain in finalists:
             causes = finalist.comparison.causes
-            if causes in self.fitted or causes in self.unfitted:
-                continue
-            if is_explained and len(causes) > len(best.causes):
+            if causes in self.fitted or self.is_ruled_out(causes):
                 continue
             probability = self.log_posterior(finalist.comparison)
             deficit = self.log_posterior(best) - probability
@@ -355,13 +352,19 @@ class CauseSearch:
     def most_probable(self) -> Comparison:
         """The most probable causes, fitted or not.
 
-        Those for which there was no time are left out, so that others are still sought.
+        Those that will not be fitted are left out, so that others are still sought.
         """
         possible = []
         for causes, comparison in self.comparisons().items():
-            if causes not in self.unfitted:
+            if not self.is_ruled_out(causes):
                 possible.append(comparison)
         return max(possible, key=self.log_posterior)
+
+    def is_ruled_out(self, causes: Causes) -> bool:
+        """Return whether causes are not fitted: no time, or fewer explain all."""
+        best = self.best
+        has_more_causes = len(causes) > len(best.causes)
+        return causes in self.unfitted or (has_more_causes and self.is_explained(best))
 
     def log_posterior(self, comparison: Comparison) -> float:
         """Return the log evidence with the prior odds of further causes."""

@@ -359,6 +359,23 @@ def test_confirmed_causes_are_compared_without_each_of_them(search, monkeypatch)
     assert searched.best.causes == ("tip_mass", "wind")
 
 
+def test_causes_are_exchanged_though_more_causes_are_more_probable(search, monkeypatch):
+    """A third cause is not fitted where two leave only noise, and hinders no swap."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", 1.05)
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.05)
+    searched = search.begin(ALL_FOUR)
+    two = searched.comparer.fit(find_effects(["gravity_direction", "tip_mass"]), None)
+    searched.fitted[two.causes] = two
+    three = ("gravity_direction", "rest_curvature", "tip_mass")
+    compared = Comparison(three, two.log_evidence + 6.0, 0.95e-3)
+    finalist = Finalist(find_effects(["rest_curvature"]), searched.comparer, compared)
+    searched.screenings[two.causes] = Screening([finalist])
+    searched.run()
+    assert searched.is_exchanged(searched.best)
+    assert ("tip_mass", "wind") in search.fits
+    assert three not in search.fits
+
+
 def test_base_of_a_swap_has_the_exponents_of_the_best_but_not_their_residual(search):
     searched = search.begin(ALL_FOUR)
     wind = searched.comparer.fit(find_effects(["wind"]), None)
