@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from stringcast.data.artifacts import Motion
 from stringcast.data.estimates import Estimate, Prediction
@@ -37,6 +37,12 @@ class Summary(BaseModel):
     sentence: str
     iterations: list[IterationSummary]
     hit: bool | None = None
+
+    @model_validator(mode="after")
+    def _require_hit_of_casts(self) -> Summary:
+        if self.hit is None and any(each.hit is not None for each in self.iterations):
+            raise ValueError("casts state whether they hit, but the run does not")
+        return self
 
 
 @dataclass(frozen=True)

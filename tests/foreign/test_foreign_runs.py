@@ -167,6 +167,7 @@ SUMMARIES = {
     "infinite": {"iterations": [CAST | {"E_after": float("inf")}]},
     "no number": {"iterations": [CAST | {"number": None}]},
     "no sentence": {"sentence": None},
+    "no hit of the run": {"hit": None},
 }
 
 
