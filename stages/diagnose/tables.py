@@ -33,7 +33,11 @@ from stringcast.stages.diagnose.verdict import Judgement
 from stringcast.stages.inference.laplace import Fit, mean_discrepancy
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.inference.trial_data import TrialData
-from stringcast.stages.model.effect import Effect, ModelChange
+from stringcast.stages.model.effect import (
+    Effect,
+    ModelChange,
+    amplitude_parameters,
+)
 from stringcast.stages.model.library import effects_by_name
 
 MAX_COMPARED_EFFECTS = 8  # the most promising
@@ -241,11 +245,28 @@ def causes_table(
                 ", and differs from trial to trial, by about "
                 f"{between_trials_mm:.0f} mm at the tip"
             )
-        common["sentence"] = sentence
         uncertainty = parameter_uncertainty(data, fit, judgement.background, half_width)
-        for row in _parameter_rows(fit, effect, uncertainty["intervals"]):
+        intervals = uncertainty["intervals"]
+        if may_be_absent(effect, intervals):
+            sentence += "; small amounts of other effects may replace it"
+        common["sentence"] = sentence
+        for row in _parameter_rows(fit, effect, intervals):
             rows.append(common | row)
     return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
+
+
+def may_be_absent(
+    effect: type[Effect], intervals: Mapping[str, Sequence[float]]
+) -> bool:
+    """Return whether the intervals of all amplitudes contain that of no effect.
+
+    intervals: ends by qualified name of the parameters.
+    """
+    for parameter in amplitude_parameters(effect):
+        low, high = intervals[effect.qualified_name(parameter)]
+        if not low <= parameter.start <= high:
+            return False
+    return True
 
 
 def fit_containing(state: SelectionState, judgement: Judgement, name: str) -> Fit:

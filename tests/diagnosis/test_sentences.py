@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.diagnose import document, summary
+from stringcast.stages.diagnose import document, summary, tables
 from stringcast.stages.diagnose.document import verdict_sentences
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
@@ -176,3 +176,40 @@ def test_the_terminal_states_the_gain_if_it_is_known(causes, base_m, addition):
 
     known["interrupted"] = True
     assert summary(diagnosis).title == "Search interrupted"
+
+
+@pytest.mark.parametrize(
+    ("along_x", "along_y", "is_replaceable"),
+    [
+        ((0.4, 0.6), (-0.1, 0.1), False),
+        ((-0.6, -0.4), (0.1, 0.2), False),
+        ((-0.1, 0.6), (-0.1, 0.1), True),
+        ((0.0, 0.6), (0.0, 0.1), True),
+    ],
+)
+def test_a_cause_whose_interval_contains_none_may_be_replaced(
+    along_x, along_y, is_replaceable, monkeypatch
+):
+    """The probability is that of some cause there; small others may share its effect."""
+    intervals = {"wind.along_x": along_x, "wind.along_y": along_y}
+    middle = {name: sum(ends) / 2 for name, ends in intervals.items()}
+    fit = SimpleNamespace(
+        values=middle,
+        cause_parameters=lambda effect: {k[5:]: v for k, v in middle.items()},
+    )
+    monkeypatch.setattr(tables, "fit_containing", lambda *_: fit)
+    monkeypatch.setattr(
+        tables, "parameter_uncertainty", lambda *_: {"intervals": intervals}
+    )
+    data = SimpleNamespace(between_trial_tip_rms=lambda name: 0.0)
+    state = SimpleNamespace(prepared=SimpleNamespace(data=data))
+    judgement = SimpleNamespace(
+        verdict=Verdict("effect", 0.0, ("wind",)),
+        inclusion_probability={"wind": 1.0},
+        background=(),
+    )
+    causes = tables.causes_table(state, judgement, 1.96)
+    said = causes["sentence"].str.endswith(
+        "small amounts of other effects may replace it"
+    )
+    assert list(said) == [is_replaceable] * 2
