@@ -21,7 +21,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from stringcast.data import dataset
-from stringcast.data.schema import DataError
+from stringcast.data.errors import ExpectedError
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.console import text_table
 from stringcast.pipeline.cli.terminal import Terminal, program_name, with_program_name
@@ -32,6 +32,7 @@ from stringcast.pipeline.settings.composition import (
     compose_settings,
     given_names,
 )
+from stringcast.pipeline.settings.named_plugins import name_plugins
 from stringcast.pipeline.settings.settings_from_runs import (
     inherit_settings,
     is_run_folder,
@@ -69,6 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     except UserError as error:
         return report_wrong_options(error, arguments)
     try:
+        name_plugins(options.settings)
         checked = read_measurements(options.folder, options.settings)
         overview = overview_with_clocks(checked)
         if options.effects and overview["usable"]:
@@ -81,7 +83,7 @@ def main(arguments: Sequence[str]) -> int:
             overview |= {"effects": limits, "effects_not_tried": not_tried}
         if report is not None:
             write_text(report, check_report(checked, overview))
-    except (DataError, UserError, HydraException, OmegaConfBaseException) as error:
+    except (ExpectedError, HydraException, OmegaConfBaseException) as error:
         overview = overview_of_unreadable(options.folder, str(error))
 
     if options.json:

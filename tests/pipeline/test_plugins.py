@@ -13,7 +13,7 @@ import pytest
 from conftest import ROOT
 
 from stringcast.known import experiment_for_call
-from stringcast.pipeline.commands import load_command, new
+from stringcast.pipeline.commands import check, load_command, new
 from stringcast.pipeline.settings.composition import UserError, compose_settings
 from stringcast.pipeline.settings.named_plugins import (
     import_plugins,
@@ -177,6 +177,12 @@ def test_page_of_a_plugin_becomes_the_report(
     run_with(called, lab, run, *SWAY, trials)
     assert "The farthest tip of my lab is" in (run / "report.html").read_text()
     assert called("verify", run).returncode == 0
+
+
+def test_check_names_plugins_like_a_run(no_named_plugin, capsys):
+    words = [str(SAMPLE), "plugins=[nothing_like_it]"]
+    assert check.main(words) == check.NOT_USABLE
+    assert "there is no such folder. Correct the path" in capsys.readouterr().out
 
 
 def test_graph_shows_the_stage_of_a_plugin(lab, called, no_named_plugin):
