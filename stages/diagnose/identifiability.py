@@ -263,7 +263,10 @@ class _SensitivityAnalysis:
         gains = self._expected_gains(response.unimitated)
         left_one_out = gains.sum(axis=0) - gains.max(axis=0)
         sibling_factor = sum(_log_occam_factor(sibling)[0] for sibling in siblings)
-        return np.asarray(left_one_out + _log_occam_factor(response) + sibling_factor)
+        relative_size = response.parameter.relative_size(response.chi)  # (C,)
+        log_size_prior = -np.log1p(relative_size**2)
+        log_prior = log_size_prior + _log_occam_factor(response) + sibling_factor
+        return np.asarray(left_one_out + log_prior)
 
     def is_confusable(
         self,

@@ -329,9 +329,7 @@ def log_size_prior(
     """
     squares = 0.0
     for index in hypothesis.amplitude_indices(cause):
-        parameter = hypothesis.parameters[index]
-        distance = float(parameter.value(chi[index])) - parameter.start
-        squares += (distance / parameter.typical_size) ** 2
+        squares += float(hypothesis.parameters[index].relative_size(chi[index])) ** 2
     return -float(np.log1p(squares))
 
 

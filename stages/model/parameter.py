@@ -79,6 +79,10 @@ class Parameter:
         exponents: np.ndarray = np.clip(position, 0.0, 1.0)
         return exponents
 
+    def relative_size(self, chi: np.ndarray) -> np.ndarray:
+        """Return distances of values from the start over the typical size."""
+        return np.asarray((self.value(chi) - self.start) / self.typical_size)
+
     def slope(self, chi: np.ndarray) -> np.ndarray:
         """Return the derivative of `value` with respect to chi."""
         if self.low > 0:

@@ -138,6 +138,17 @@ def test_a_limit_also_needs_the_smallest_tip_shift(prepared, limits):
     assert np.isnan([none.detectable_value, none.detectable_tip_shift_m]).all()
 
 
+def test_a_size_that_is_rare_in_practice_needs_more_evidence(
+    prepared, limits, monkeypatch
+):
+    """As in a diagnosis. If offsets of 0.01 mm are typical, one of 0.4 mm is rare."""
+    rare = tuple(replace(p, typical_size=1e-5) for p in CameraOffset.parameters)
+    monkeypatch.setattr(CameraOffset, "parameters", rare)
+    (limit, *_) = detection_limits(prepared, [CameraOffset], ANY_SHIFT, 0)
+    common = limits["camera_offset.x"].detectable_value
+    assert 1.2 * common < limit.detectable_value < 3 * common
+
+
 def test_only_look_alikes_are_named_as_confusable(limits):
     """Look-alikes are named, and other effects are not.
 
