@@ -344,6 +344,47 @@ def test_earlier_estimate_is_refined_on_whole_trials(arm, camera, monkeypatch):
     np.testing.assert_allclose(starts[1], true)
 
 
+@pytest.mark.parametrize(
+    ("noise_scale", "is_first", "is_repeated"),
+    [(2.8, False, True), (1.2, False, False), (2.8, True, False)],
+)
+def test_a_correction_begins_again_at_the_earlier_estimate_if_misfit_is_left(
+    arm, camera, monkeypatch, noise_scale, is_first, is_repeated
+):
+    """Two casts of string D were fitted with twice its stiffness."""
+    model = Model(STRING, arm, camera)
+    previous = None if is_first else SimpleNamespace(values=lambda: TRUTH)
+    solution = model.exponents_of_values(TRUTH | {"bending_stiffness": 4.0})
+    data = SimpleNamespace(trials=())
+    fitted = SimpleNamespace(noise_scales=[1.0, noise_scale], data=data)
+    corrections = []
+
+    class CorrectedError(Exception):
+        pass
+
+    def leave_uncorrected(likelihood, chi, start=None):
+        assert chi is solution
+        corrections.append(start)
+        return likelihood, chi
+
+    def end_estimate(likelihood, chi):
+        raise CorrectedError
+
+    monkeypatch.setattr(least_squares, "search_parameters", lambda *_: solution)
+    monkeypatch.setattr(least_squares, "refine_solution", lambda *_: (fitted, solution))
+    monkeypatch.setattr(least_squares, "refine_at_mesh_limit", leave_uncorrected)
+    monkeypatch.setattr(least_squares, "matching_rate", end_estimate)
+    settings = {"starts": 1, "screening": 1, "iterations": 1, "matching": MATCHING}
+    with pytest.raises(CorrectedError):
+        least_squares.estimate(
+            model, [simulate_swing(0)], previous, seed=0, cast_number=2, **settings
+        )
+    assert len(corrections) == 1 + is_repeated
+    if is_repeated:
+        true = model.exponents_of_values(TRUTH)
+        np.testing.assert_allclose(corrections[1], true)
+
+
 def test_undetermined_parameters_are_reported(arm, camera):
     """A string at rest does not determine damping and drag."""
     still = simulate_swing(1)
