@@ -47,7 +47,7 @@ def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | Non
     dict or None
         Offset to add to the camera's times of each trial [s].
     """
-    if fit.has_diverged:
+    if fit.has_diverged or len(data.trials) < 2:
         return None
     hypothesis = _with_offset(fit.hypothesis)
     start = hypothesis.model.exponents_of_values(fit.values)

@@ -9,7 +9,7 @@ import pytest
 from conftest import measured_sample
 
 from stringcast.pipeline.commands.clock_fit import plain_model
-from stringcast.stages.diagnose import diagnose
+from stringcast.stages.diagnose import diagnose, trial_clocks
 from stringcast.stages.diagnose.document import clocks_document
 from stringcast.stages.diagnose.preparation import prepare_data
 from stringcast.stages.diagnose.trial_clocks import find_trial_clocks
@@ -75,6 +75,17 @@ def test_trials_with_one_clock_do_not_differ(acceleration_m_s2):
 
     prepared = prepare(push)
     assert find_trial_clocks(prepared.data, prepared.base_fit) is None
+
+
+def test_the_clock_of_one_trial_is_not_fitted(with_own_clocks, monkeypatch):
+    """It differs from no other one."""
+    data = with_own_clocks.data.subset([0])
+    fitted = []
+    monkeypatch.setattr(
+        trial_clocks, "fit_hypothesis", lambda *given: fitted.append(given)
+    )
+    assert find_trial_clocks(data, with_own_clocks.base_fit) is None
+    assert not fitted
 
 
 @pytest.mark.parametrize(
