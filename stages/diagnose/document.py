@@ -154,10 +154,11 @@ def unexplained_document(
     fraction = 0.0
     if judgement.verdict.kind != "none" and misfit_m > 0:
         fraction = (misfit_m / max(base_misfit_m, misfit_m)) ** 2
-    where = ""
+    where = course = ""
     sentences = [judgement.verdict.remark]
     if misfit_remains(judgement.verdict.misfit_probability):
         where = _largest_misfit_sentence(data, fit)
+        course = _course_sentence(fit.grid_points)
         # The value of the budget, unless numerical error may explain all of it
         left_mm = MM_PER_M * (value if low > 0 else misfit_m)
         misfit = f"A misfit of {left_mm:.1f} mm is left at the tip"
@@ -172,7 +173,7 @@ def unexplained_document(
         "tip_rms_m": {"value": value, "low": low, "high": high},
         "tolerance_m": criteria.tip_tolerance_m,
         "where": where,
-        "course": _course_sentence(fit.grid_points),
+        "course": course,
         "sentence": " ".join(filter(None, sentences)),
     }
 

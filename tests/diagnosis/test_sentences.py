@@ -107,6 +107,25 @@ def test_the_stated_misfit_is_that_of_the_budget_if_it_is_certainly_positive(
     assert found["sentence"] == sentence
 
 
+@pytest.mark.parametrize("misfit_probability", [0.0, 1.0])
+def test_the_time_course_is_stated_only_if_misfit_remains(
+    misfit_probability, monkeypatch
+):
+    monkeypatch.setattr(document, "unexplained_tip_rms", lambda *_: np.array([1e-4]))
+    monkeypatch.setattr(document, "_largest_misfit_sentence", lambda *_: "late")
+    found = document.unexplained_document(
+        None,
+        SimpleNamespace(grid_points=np.array([1])),
+        SimpleNamespace(
+            verdict=Verdict("effect", misfit_probability, ("wind",)), base_fit=None
+        ),
+        SimpleNamespace(unexplained_m=(1e-4, 0.0, 2e-4)),
+        SimpleNamespace(tip_tolerance_m=2e-3),
+    )
+    course = "The unexplained misfit grows over the trial in 1 of 1 trials."
+    assert found["course"] == (course if misfit_probability else "")
+
+
 @pytest.mark.parametrize(
     ("grid_points", "sentence"),
     [
