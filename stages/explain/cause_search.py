@@ -200,7 +200,9 @@ class CauseSearch:
             return self.extendable_rival() or self.base_of_swap(best)
         if self.is_confirmed(best) and not self.is_surprising:
             return None
-        return self.base_of_swap(best)
+        # With many trials, causes that explain hardly anything have evidence, too
+        named = self.best_without_idle_causes
+        return self.base_of_swap(best) or self.base_of_swap(named)
 
     def extendable_rival(self) -> Comparison | None:
         """Return the most probable extendable causes with a small deficit, if any."""
@@ -347,6 +349,15 @@ class CauseSearch:
     def best(self) -> Comparison:
         """The most probable fitted causes."""
         return max(self.fitted.values(), key=self.log_posterior)
+
+    @property
+    def best_without_idle_causes(self) -> Comparison:
+        """The most probable fitted causes that explain more than any part of them."""
+        fitted = []
+        for comparison in self.comparisons_without_idle_causes().values():
+            if comparison.estimate is not None:
+                fitted.append(comparison)
+        return max(fitted, key=self.log_posterior)
 
     @property
     def most_probable(self) -> Comparison:

@@ -376,6 +376,22 @@ def test_causes_are_exchanged_though_more_causes_are_more_probable(search, monke
     assert three not in search.fits
 
 
+def test_causes_are_exchanged_if_a_further_one_explains_little(search, monkeypatch):
+    """In many blocks a third cause has evidence, but explains a quarter of the rest."""
+    monkeypatch.setitem(RMS_MM, "tip_mass wind", 1.09)
+    monkeypatch.setitem(RMS_MM, "rest_curvature tip_mass wind", 1.07)
+    searched = search.begin("rest_curvature tip_mass wind")
+    searched.comparer = replace(searched.comparer, blocks=400)
+    for names in ("tip_mass wind", "rest_curvature tip_mass wind"):
+        fitted = searched.comparer.fit(find_effects(names.split()), None)
+        searched.fitted[fitted.causes] = fitted
+    two, three = list(searched.fitted.values())[1:]
+    assert searched.log_posterior(three) > searched.log_posterior(two)
+    searched.run()
+    assert three.causes not in searched.comparisons_without_idle_causes()
+    assert searched.is_exchanged(two)
+
+
 def test_base_of_a_swap_has_the_exponents_of_the_best_but_not_their_residual(search):
     searched = search.begin(ALL_FOUR)
     wind = searched.comparer.fit(find_effects(["wind"]), None)
