@@ -71,7 +71,7 @@ def find_trial_offsets(measured: Measurements) -> Mapping[str, float]:
     before = square[:, *common]
     after = separate[:, stiffness]
     others = np.arange(len(before)) != np.argmax(before - after)
-    if after[others].sum() > (1 - MIN_EXPLAINED_FRACTION) * before[others].sum():
+    if after[others].sum() >= (1 - MIN_EXPLAINED_FRACTION) * before[others].sum():
         return {}
     best = square[:, :, stiffness].argmin(axis=1)
     return dict(zip(errors_of_trial, OFFSETS_S[best].tolist(), strict=True))
