@@ -40,10 +40,12 @@ ANGLE_UNITS = {
 }
 PIXEL_WORDS = {"px", "pixel", "pixels"}
 UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
-TIME_WORDS = _words("t time times timestamp stamp")
+TIME_WORDS = _words("t time times timestamp stamp datetime")
 FRAME_WORDS = _words("frame frames")
 INDEX_WORDS = _words("index idx number num no nr id")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
+# a column of one of these names the point that its row holds
+LABEL_WORDS = _words("marker point keypoint bodypart label particle")
 JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
 # joints of serial arms named by body part, base first, as in ROS drivers
 NAMED_JOINTS = (
@@ -90,7 +92,8 @@ class ColumnMeaning:
     Attributes
     ----------
     kind
-        `time`, `frame`, `trial`, `joint`, `hand`, `point`, `arc` or `other`.
+        `time`, `frame`, `trial`, `label` (the name of a row's point), `joint`,
+        `hand`, `point`, `arc` or `other`.
     name
         Number of a joint, or name of a point or of the hand.
     axis
@@ -124,17 +127,14 @@ def column_meaning(column: str) -> ColumnMeaning:
     content = [word for word in words if word != unit or words.index(word) == 0]
     content = [word for word in content if word not in FILLER_WORDS] or content[:1]
     first = content[0]
-    is_short = len(content) <= 2
     has_axis = not {"x", "y"}.isdisjoint(content)
-    if first in TRIAL_WORDS and is_short:
-        return ColumnMeaning("trial")
-    if first in FRAME_WORDS and INDEX_WORDS.issuperset(content[1:]):
-        return ColumnMeaning("frame")
-    if TIME_WORDS & {*content} and not has_axis:
-        return ColumnMeaning(
-            "time", " ".join(content), unit=_unit_if_in(unit, TIME_UNITS)
-        )
-    if first in ARC_LENGTH_WORDS and is_short and not has_axis:
+    if row_kind := _row_kind(content):
+        return ColumnMeaning(row_kind)
+    is_time_unit = len(words) == 1 and first in TIME_UNITS and first != "s"
+    if is_time_unit or (TIME_WORDS & {*content} and not has_axis):
+        unit = first if is_time_unit else _unit_if_in(unit, TIME_UNITS)
+        return ColumnMeaning("time", " ".join(content), unit=unit)
+    if first in ARC_LENGTH_WORDS and len(content) <= 2 and not has_axis:
         return ColumnMeaning("arc", unit=_unit_if_in(unit, LENGTH_UNITS))
     return _position_meaning(content, unit)
 
@@ -151,6 +151,18 @@ def stated_unit(column: str, kind: str) -> str:
         "trial": {},
     }
     return _unit_if_in(unit, suitable.get(kind, LENGTH_UNITS))
+
+
+def _row_kind(content: Sequence[str]) -> str:
+    """Return `trial`, `frame` or `label` if a column names that of its row, or ""."""
+    first, *others = content
+    if first in TRIAL_WORDS and len(others) <= 1:
+        return "trial"
+    if first in FRAME_WORDS and INDEX_WORDS.issuperset(others):
+        return "frame"
+    if first in LABEL_WORDS and {*INDEX_WORDS, "name"}.issuperset(others):
+        return "label"
+    return ""
 
 
 def _is_rate(column: str, words: Sequence[str]) -> bool:

@@ -31,15 +31,16 @@ from stringcast.data.schema import DataError
 MAP_EXPRESSION = re.compile(
     r"(?P<sign>[-+]?)(?P<column>.+?)(?P<shift>[-+]\d+(\.\d+)?)?$"
 )
-ROLE_PATTERN = re.compile(r"t|frame|trial|s|q\d|x|y|theta|.+\.[xyz]")
+ROLE_PATTERN = re.compile(r"t|frame|trial|point|s|q\d|x|y|theta|.+\.[xyz]")
 ROLE_HELP = (
-    "t, frame, trial, q1, q2, q3, x, y, theta (of the hand), s, and <point>.x, "
-    "<point>.y of the string, as in tip.x"
+    "t, frame, trial, q1, q2, q3, x, y, theta (of the hand), s, point (its name), and "
+    "<point>.x, <point>.y of the string, as in tip.x"
 )
 KIND_OF_ROLE = {
     "t": "time",
     "frame": "frame",
     "trial": "trial",
+    "point": "label",
     "s": "arc",
     "x": "hand",
     "y": "hand",
@@ -306,7 +307,9 @@ def _read_parts(recording: SourceRecording, hints: ColumnHints) -> RecordingPart
     reader = RecordingReader(recording, hints, columns)
     common = pd.DataFrame({"t": read_times(reader)})
     trials = reader.columns_of("trial")
-    common["trial"] = reader.read_names(trials[0]) if trials else recording.name
+    common["trial"] = recording.name
+    if trials:
+        common["trial"] = reader.read_names(trials[0], "trial").map(trial_name)
     motion = read_motion(reader)
     points = read_points(reader)
     zero_count = 0

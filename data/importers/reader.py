@@ -178,8 +178,8 @@ class RecordingReader:
             UsedColumn(self.recording.file, column.name, role, unit, how, low, high)
         )
 
-    def read_names(self, column: SourceColumn) -> np.ndarray:
-        """Read names of trials, (K,).
+    def read_names(self, column: SourceColumn, role: str) -> pd.Series:
+        """Read a column of names, of trials or points, (K,).
 
         Raises DataError if a row has none.
         """
@@ -187,13 +187,13 @@ class RecordingReader:
         count = int(names.isna().sum())
         if count > 0:
             raise DataError(
-                f"{self.recording.file}: {count} of {len(names)} rows name no trial in "
-                f"column '{column.name}'. Name it there, or take the rows out."
+                f"{self.recording.file}: {count} of {len(names)} rows name no {role} "
+                f"in column '{column.name}'. Name it there, or take the rows out."
             )
         self.used_columns.append(
-            UsedColumn(self.recording.file, column.name, "trial", "", column.how)
+            UsedColumn(self.recording.file, column.name, role, "", column.how)
         )
-        return np.asarray(names.astype(str).map(trial_name))
+        return names.astype(str)
 
     def read_length(self, column: SourceColumn, role: str) -> np.ndarray:
         """Read a column of lengths, (K,) [m], or of pixels."""

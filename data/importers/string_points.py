@@ -67,6 +67,9 @@ def _read_point(
         x, y = (xy["x"] - origin[0]) / scale, (origin[1] - xy["y"]) / scale
         xy = {"x": x, "y": y}
     frame = pd.DataFrame({"point": name, **xy})
+    if labels := reader.columns_of("label"):
+        row_names = reader.read_names(labels[0], "point")
+        frame["point"] = (name + " " + row_names).str.strip()
     if arcs := reader.columns_of("arc"):
         frame["s"] = reader.read_length(arcs[0], "s")
     if "sigma" in axes:

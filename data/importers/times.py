@@ -29,6 +29,7 @@ def read_times(reader: RecordingReader) -> np.ndarray:
         fault = _stamp_fault(reader, clocks[0])
         if not fault:
             return _read_clock(reader, clocks[0])
+        _refuse_unnamed_points(reader, clocks[0])
         if reader.hints.fps is None:
             raise DataError(
                 f"{reader.recording.file}: {fault}. Give the rate of its rows, as in "
@@ -45,12 +46,14 @@ def read_times(reader: RecordingReader) -> np.ndarray:
         unit = f"frames, {fps:g} a second"
         return reader.read_numbers(numbers[0], "t", unit, 1 / fps, "--fps")
     _refuse_unknown_counter(reader)
-    return np.arange(len(reader.table)) / fps
+    rows = reader.table.groupby(_series_names(reader)).cumcount()
+    return rows.to_numpy() / fps
 
 
 def _series_names(reader: RecordingReader) -> pd.Series:
-    """Name the series of each row, (K,), by trial and arc length."""
-    columns = [*reader.columns_of("trial"), *reader.columns_of("arc")]
+    """Name the series of each row, (K,), by trial, point and arc length."""
+    kinds = ("trial", "label", "arc")
+    columns = [column for kind in kinds for column in reader.columns_of(kind)]
     series = pd.Series("", index=reader.table.index)
     for column in columns:
         series = series + " " + reader.table[column.name].astype(str)
@@ -78,6 +81,28 @@ def _stamp_fault(reader: RecordingReader, column: SourceColumn) -> str:
         guess = " (stored as float32?)" if is_rounded and is_large else ""
         return f"the time stamps{words} carry no time: {found}{guess}"
     return ""
+
+
+def _refuse_unnamed_points(reader: RecordingReader, clock: SourceColumn) -> None:
+    """Refuse rows that share times if another column distinguishes them.
+
+    It is likely to name the points of the string.
+    """
+    keys = pd.DataFrame({"series": _series_names(reader)})
+    keys["stamp"] = reader.table[clock.name]
+    row_count = int(keys.value_counts().max())
+    used = {column.name for column in reader.columns}
+    for name in map(str, reader.table):
+        values = reader.table[name]
+        if name in used or values.nunique() != row_count:
+            continue
+        if not keys.assign(value=values).duplicated().any():
+            raise DataError(
+                f"{reader.recording.file}: {row_count} rows share each time in column "
+                f"'{clock.name}', and '{name}' distinguishes them. If it names the "
+                f"point of the string: --map 'point={name}'; if not, take the column "
+                "out."
+            )
 
 
 def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> None:

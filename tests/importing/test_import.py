@@ -59,6 +59,8 @@ COLUMNS = {
     "tip_likelihood": ColumnMeaning("point", "tip", "likelihood", ""),
     "s_mm": ColumnMeaning("arc", "", "", "mm"),
     "episode_index": ColumnMeaning("trial"),
+    "ms": ColumnMeaning("time", "ms", "", "ms"),
+    "marker_id": ColumnMeaning("label"),
     "motor_temperature": ColumnMeaning("other"),
 }
 

@@ -306,3 +306,45 @@ def test_encoder_counts_in_one_joint_alone_are_refused(arm, tmp_path):
         read(mixed, tip)
     counts = {f"j{n}_deg": 2048 + 500 * TURN for n in (1, 2, 3)}
     read(write(tmp_path, "counts.csv", t=T, **counts), tip)
+
+
+def test_rows_of_a_named_point_are_read_as_its_own_series(arm, tmp_path):
+    """A table with one row per point names it in a column, and shares times."""
+    x = np.stack([TURN, 2 * TURN], axis=1).ravel()
+    columns = {"time": np.repeat(T, 2), "x": x, "y": -x}
+    names = np.tile(["mid", "tip"], COUNT)
+    long = write(tmp_path, "long.csv", marker=names, **columns)
+    points = read(arm, long).points
+    for name, factor in (("mid", 1.0), ("tip", 2.0)):
+        rows = points[points["point"] == name]
+        np.testing.assert_allclose(rows["t"], T)
+        np.testing.assert_allclose(rows["x"], factor * TURN)
+
+    other = write(tmp_path, "other.csv", Punkt=names, **columns)
+    for fps in (None, 200.0):
+        with pytest.raises(DataError, match=r"2 rows share .*--map 'point=Punkt'"):
+            read(arm, other, fps=fps)
+    mapped = read(arm, other, columns=[("point", "Punkt")]).points
+    pd.testing.assert_frame_equal(mapped, points)
+
+
+def test_rows_of_a_frame_are_counted_once_at_a_frame_rate(arm, tmp_path):
+    """Without times, each series of a trial and point has its own count."""
+    trials = np.repeat(["1", "2"], COUNT)
+    columns = {"trial": np.repeat(trials, 2), "marker": np.tile([1, 2], 2 * COUNT)}
+    long = write(tmp_path, "long.csv", x=0.1, y=0.2, **columns)
+    arms = write(tmp_path, "arms.csv", t=[*T, *T], trial=trials, q1=0.1, q2=0.2)
+    points = read(arms, long, fps=200.0).points
+    assert {*points["point"]} == {"1", "2"}
+    for _, rows in points.groupby(["trial", "point"]):
+        np.testing.assert_allclose(rows["t"], T)
+
+
+def test_a_unit_of_time_or_datetime_names_the_times(tmp_path):
+    motion = {"q1": TURN, "q2": -TURN, "q3": 0.0}
+    arm = write(tmp_path, "arm.csv", ms=(1e3 * T).round().astype(int), **motion)
+    stamps = pd.Timestamp("2026-01-31T12:00:00") + pd.to_timedelta(T, unit="s")
+    tip = write(tmp_path, "tip.csv", datetime=stamps, tip_x=TURN, tip_y=0.0)
+    tables = read(arm, tip)
+    np.testing.assert_allclose(tables.motion["t"], T)
+    np.testing.assert_allclose(np.diff(tables.points["t"]), 1 / 200, atol=1e-6)
