@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -272,11 +272,24 @@ class RecordingReader:
             "points to the left."
         )
 
+    def axes_of(self, columns: Collection[str]) -> tuple[PlaneAxis, PlaneAxis]:
+        """Return the axes for x and y of a body with these columns.
+
+        A body with two coordinates other than the stated ones was measured in the
+        plane of motion, such as the points of a single camera.
+        """
+        right, up = self.plane_axes
+        names = sorted({"x", "y", "z"} & {*columns})
+        if len(names) == 2 and {right.name, up.name} != {*names}:
+            is_down = self.hints.y_is_down and not self.columns_of("hand")
+            return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
+        return right, up
+
     def read_xy(
         self, columns: Mapping[str, SourceColumn], prefix: str
     ) -> dict[str, np.ndarray]:
         """Read positions in the plane of motion, x and y, (K,) each [m]."""
-        right, up = self.plane_axes
+        right, up = self.axes_of(columns)
         x = right.sign * self.read_length(columns[right.name], f"{prefix}x")
         y = up.sign * self.read_length(columns[up.name], f"{prefix}y")
         return {"x": x, "y": y}

@@ -54,7 +54,7 @@ def _read_point(
     """Read one point of the string over time."""
     prefix = f"{name}." if name else ""
     xy = reader.read_xy(axes, prefix)
-    right, _ = reader.plane_axes
+    right, _ = reader.axes_of(axes)
     if reader.length_unit(axes[right.name]) == "px":
         scale, origin = reader.hints.px_per_m, reader.hints.origin_px
         if scale is None or origin is None:

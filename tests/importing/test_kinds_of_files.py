@@ -348,3 +348,23 @@ def test_a_unit_of_time_or_datetime_names_the_times(tmp_path):
     tables = read(arm, tip)
     np.testing.assert_allclose(tables.motion["t"], T)
     np.testing.assert_allclose(np.diff(tables.points["t"]), 1 / 200, atol=1e-6)
+
+
+def test_two_coordinates_are_in_the_plane_of_three_of_another_body(tmp_path):
+    """A plane is stated for the tracker; x and y of the hand are mapped, or alone."""
+    tip = {"tip_x": TURN, "tip_y": 0.5, "tip_z": -TURN}
+    track = write(tmp_path, "track.csv", t=T, **tip)
+    hand = {"tcp_x": TURN, "tcp_z": 2 * TURN, "tcp_pitch": 0.1}
+    names = [("x", "tcp_x"), ("y", "tcp_z"), ("theta", "tcp_pitch")]
+    mapped = write(tmp_path, "hand.csv", t=T, **hand)
+    flat = write(tmp_path, "flat.csv", t=T, x=TURN, y=2 * TURN, theta=0.1)
+    for arm, columns in ((mapped, names), (flat, [])):
+        tables = read(arm, track, plane="x,z", columns=columns)
+        np.testing.assert_allclose(tables.motion["y"], 2 * TURN)
+        np.testing.assert_allclose(tables.points["y"], -TURN)
+
+    camera = write(tmp_path, "camera.csv", t=T, tip_x=TURN, tip_y=TURN)
+    hand = write(tmp_path, "pose.csv", t=T, tcp_x=0.1, tcp_y=0.2, tcp_z=0.3, tcp_yaw=0)
+    tables = read(hand, camera, plane="x,z", y_is_down=True)
+    np.testing.assert_allclose(tables.motion["y"], 0.3)
+    np.testing.assert_allclose(tables.points["y"], -TURN)
