@@ -47,7 +47,8 @@ def read_times(reader: RecordingReader) -> np.ndarray:
         return reader.read_numbers(numbers[0], "t", unit, 1 / fps, "--fps")
     _refuse_unknown_counter(reader)
     rows = reader.table.groupby(_series_names(reader)).cumcount()
-    return rows.to_numpy() / fps
+    times: np.ndarray = rows.to_numpy() / fps
+    return times
 
 
 def _series_names(reader: RecordingReader) -> pd.Series:
