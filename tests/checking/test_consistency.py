@@ -106,6 +106,15 @@ def test_a_tip_that_rests_nearer_than_another_point_is_upside_down():
     assert proposal.verdict.measured.length == pytest.approx(0.32, rel=0.05)
 
 
+def test_a_base_of_wrong_sign_or_order_is_corrected_exactly(measured):
+    """The stated numbers are more precise than a base fitted to the motion."""
+    x, y = measured.base
+    for stated in ((-x, y), (x, -y), (y, x)):
+        ((correction,),) = base_corrections(replace(measured, base=stated), ())
+        assert correction.place == (x, y)
+        assert "wrong sign or order" in correction.statement
+
+
 def test_a_base_that_the_motion_does_not_determine_is_requested(measured):
     """Without a length, a longer string in a higher hand moves in the same way."""
     x, y = measured.base

@@ -33,6 +33,7 @@ UNKNOWN_LENGTHS_M = np.geomspace(0.12, 1.5, 12)
 BASE_STEPS = 3
 # In 20 right datasets of another simulator, also with only the tip, the best base has
 # an error of up to 11 mm, and is up to 25 mm from others that fit equally well
+MAX_PLACE_ERROR_M = 0.011
 PLACE_MARGIN = 0.01
 MAX_PLACE_UNCERTAINTY_M = 0.05  # of a base that is proposed
 # From the stated base: in 45 right datasets the best one differs by up to 30 mm, if the
@@ -88,7 +89,8 @@ def base_corrections(
 ) -> Iterator[tuple[Correction, ...]]:
     """Yield the fitted place of the arm after some first corrections.
 
-    A measured place is not fitted, because the model of the string is rough.
+    A stated place with other signs or in another order replaces a fitted one near it. A
+    measured place is not fitted, because the model of the string is rough.
     """
     corrected = apply_corrections(measured, first)
     if corrected is None or not corrected.has_joints or corrected.base_is_measured:
@@ -113,7 +115,45 @@ def base_corrections(
         return
     is_rival = fitted.misfits <= max(RIVAL_RATIO * misfit, misfit + PLACE_MARGIN)
     distances = np.linalg.norm(fitted.places[is_rival] - fitted.places[best], axis=1)
-    yield (*first, base_correction(fitted.places[best], float(distances.max())))
+    uncertainty = float(distances.max())
+    meant = intended_base(corrected.base, fitted.places[best])
+    if meant is not None and uncertainty <= MAX_PLACE_UNCERTAINTY_M:
+        yield (*first, mistyped_base_correction(corrected.base, meant))
+    else:
+        yield (*first, base_correction(fitted.places[best], uncertainty))
+
+
+def intended_base(
+    stated: tuple[float, float], place: np.ndarray
+) -> tuple[float, float] | None:
+    """Return the stated base with other signs or exchanged, if one is at a place.
+
+    It is then more precise than the fit of the place (2,) [m].
+    """
+    x, y = stated
+    signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
+    variants = np.concatenate([signs * (x, y), signs * (y, x)])
+    distances = np.linalg.norm(variants - place, axis=1)
+    nearest = int(distances.argmin())
+    if distances[nearest] > MAX_PLACE_ERROR_M:
+        return None
+    return float(variants[nearest, 0]), float(variants[nearest, 1])
+
+
+def mistyped_base_correction(
+    stated: tuple[float, float], meant: tuple[float, float]
+) -> ArmElsewhere:
+    """Return the correction of the signs or the order of a stated base [m]."""
+    x, y = meant
+    return ArmElsewhere(
+        statement=(
+            f"the base has a wrong sign or order: ({stated[0]:g}, {stated[1]:g}) m is "
+            f"stated, and the string's motion fits ({x:g}, {y:g}) m"
+        ),
+        remedy=f"Write base: [{x:g}, {y:g}]",
+        place=meant,
+        is_shown=True,
+    )
 
 
 def base_correction(place: np.ndarray, uncertainty: float) -> ArmElsewhere:
