@@ -166,9 +166,9 @@ def _split_by_resolution(
     """Split rivals by whether simulation with them resolves enough trials to lead.
 
     The numerical uncertainty of the others may explain their gain. A rival of an
-    accepted cause must resolve all trials. One that resolves fewer than half cannot
-    lead another that resolves these and explains half as much, because most trials
-    would be left out.
+    accepted cause must resolve all trials; the accepted cause itself was shown to
+    resolve enough. One that resolves fewer than half cannot lead another that resolves
+    these and explains half as much, because most trials would be left out.
     """
     before_m = prepared.discretisation_uncertainty_m
     trials = len(before_m)
@@ -180,11 +180,15 @@ def _split_by_resolution(
         misfit_m = unexplained_tip_rms(prepared.data, step.parent)
         allowance_m = np.sqrt(UNRESOLVED_FRACTION) * misfit_m
     half = (trials + 1) // 2
+    accepted = step.incumbent.hypothesis.causes[-1:] if step.incumbent else ()
 
     resolved = []
     resolved_in_few = []
     unresolved = []
     for fit in rivals:
+        if fit.hypothesis.causes[-1] in accepted:
+            resolved.append(fit)
+            continue
         uncertainty_m = discretisation_uncertainty_of(prepared, fit)
         if not is_resolved(uncertainty_m, before_m, criteria, needed, allowance_m):
             unresolved.append(fit)

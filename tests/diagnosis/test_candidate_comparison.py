@@ -121,6 +121,10 @@ def test_a_cause_with_too_few_resolved_trials_is_not_accepted(
     behind = replace(given, fits=[fits[0], named_fit("resolved", 70.0)])
     step = compare_rivals(prepared, behind, behind, CRITERIA)
     assert not step.unresolved
+    # The accepted cause itself was shown to resolve enough
+    given = replace(given, incumbent=fits[0])
+    step = compare_rivals(prepared, given, given, CRITERIA)
+    assert step.best.name == "uncertain"
 
 
 def compare_rivals(monkeypatch, found, common):
