@@ -624,7 +624,7 @@ def test_marks_of_a_string_of_unknown_length_may_all_be_before_its_end(
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 37
+    assert len(set(names)) == len(names) == 38
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
