@@ -41,7 +41,7 @@ def check_lost_points(dataset: CheckedDataset) -> Iterator[Finding]:
                 f"the tracker wrote {kind} where it lost a point, and these are left "
                 f"out ({listed})"
             )
-            remedy = "Set 'valid' to false, or leave the row out, where a point is lost"
+            remedy = f"Set 'valid' to false, or leave the row out, instead of {kind}"
             share = max(lost.count / lost.total for lost in found)
             report = warning if share > SUSPICIOUS_LOST_SHARE else note
             trials = [lost.trial for lost in found]

@@ -159,3 +159,15 @@ def test_the_interval_of_frames_covers_the_true_one():
         interval, sigma = clocks.frame_interval(t + RNG.normal(0, 3e-4, len(t)))
         covered += abs(interval - 1 / 200) < 1.96 * sigma
     assert 0.9 <= covered / 200 <= 0.99
+
+
+def test_each_position_written_for_lost_points_is_reported(dirty, tmp_path):
+    """A tracker may write different positions for each point that it loses."""
+    s = dirty.points["s"]
+    is_lost = RNG.random(len(s)) < 0.05
+    dirty.points.loc[is_lost & (s == s.max()), ["x", "y"]] = -0.001
+    dirty.points.loc[is_lost & (s < s.max()), ["x", "y"]] = 0.0
+    findings = findings_in(dirty.write(write_samples(tmp_path / "lost")))
+    statements = " ".join(found.statement for found in findings)
+    assert "the tracker wrote (0, 0)" in statements
+    assert "the tracker wrote (-0.001, -0.001)" in statements
