@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import minimize
 
 from stringcast.pipeline.commands.import_corrections import option_words
+from stringcast.stages.check.consistency import search
 from stringcast.stages.check.consistency.arm_place import ArmElsewhere, base_corrections
 from stringcast.stages.check.consistency.check import misfit_finding
 from stringcast.stages.check.consistency.corrections.directions import YDown
@@ -17,12 +18,17 @@ from stringcast.stages.check.consistency.corrections.joints import (
     change_joints,
 )
 from stringcast.stages.check.consistency.corrections.times import (
+    PACES,
     Pace,
     PointRate,
     scale_all_times,
     scale_point_times,
 )
-from stringcast.stages.check.consistency.judge import judge, reason_beside_geometry
+from stringcast.stages.check.consistency.judge import (
+    Verdict,
+    judge,
+    reason_beside_geometry,
+)
 from stringcast.stages.check.consistency.limits import Limit, broken_limits
 from stringcast.stages.check.consistency.prediction import STIFFNESS_LADDER, ladder
 from stringcast.stages.check.consistency.record import Measurements, Recording, Track
@@ -248,3 +254,32 @@ def test_unusual_but_right_geometry_is_not_corrected(kind, seed):
     answer = find_answer(measured, verdict)
     assert not answer.proposals
     assert not answer.pairing
+
+
+@pytest.mark.parametrize(
+    ("corrected_misfit", "is_proposed"), [(0.02, True), (0.1, False)]
+)
+def test_a_pace_must_explain_the_motion(corrected_misfit, is_proposed, monkeypatch):
+    """A string that rests bent is as far from the prediction as it moves, at any pace.
+
+    Points move by 0.06 lengths in the predicted time, and by 0.1 at four times the
+    pace. So the misfit over the motion is smaller, although nothing is explained.
+    """
+    tip = Track("tip", 1.0, np.arange(3.0), np.zeros((3, 2)))
+    recording = SimpleNamespace(
+        name="t0", track=lambda point: tip, starts_moving=False, is_restless=False
+    )
+    given = SimpleNamespace(length=1.0, recordings=[recording], stated_arc_lengths=[])
+    slow = SimpleNamespace(length=1.0, recordings=[recording], stated_arc_lengths=[1.0])
+    before = Verdict(given, {}, {"t0": 0.11})
+    after = Verdict(slow, {}, {"t0": corrected_misfit})
+    motion = iter([0.06, 0.1])
+    monkeypatch.setattr(search, "apply_corrections", lambda *_: slow)
+    monkeypatch.setattr(search, "broken_limits", lambda *_: {})
+    monkeypatch.setattr(search, "judge", lambda *_: after)
+    monkeypatch.setattr(search, "farthest_point", lambda *_: "tip")
+    monkeypatch.setattr(search, "mean_motion", lambda *_: next(motion))
+    monkeypatch.setattr(search, "falls_at_its_pace", lambda *_: True)
+    pace = next(p for p in PACES if p.factor == 4.0)
+    found = search.consistent_proposals(given, before, [(pace,)])
+    assert bool(found) == is_proposed
