@@ -20,6 +20,7 @@ from stringcast.pipeline.commands.check import (
 from stringcast.pipeline.commands.clock_fit import plain_model
 from stringcast.stages.check.clocks import check_clock_interval
 from stringcast.stages.check.consistency import trial_clocks
+from stringcast.stages.check.consistency.prediction import WHOLE_MOTION
 from stringcast.stages.check.consistency.trial_clocks import check_trial_clocks
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
@@ -464,7 +465,8 @@ def test_trials_without_misfit_have_one_clock(monkeypatch):
     errors = np.ones((len(trial_clocks.OFFSETS_S), 3))
     errors[20, 1] = 0.0
     monkeypatch.setattr(trial_clocks, "farthest_point", lambda measured: None)
-    monkeypatch.setattr(trial_clocks, "predict", lambda *_: SimpleNamespace(length=1.0))
+    prediction = SimpleNamespace(length=1.0, horizon=WHOLE_MOTION)
+    monkeypatch.setattr(trial_clocks, "predict", lambda *_: prediction)
     monkeypatch.setattr(trial_clocks, "errors_by_offset", lambda *_: (errors, None))
     recordings = [SimpleNamespace(name=name, tracks=[]) for name in ("t00", "t01")]
     measured = SimpleNamespace(recordings=recordings)

@@ -223,10 +223,8 @@ def fit_trial(
     A point without a stated arc length gets the best one; that of the tip is the
     string's length.
     """
-    length = prediction.length
-    horizon = prediction.horizon
-    tracks = [thin_track(track, length, horizon) for track in recording.tracks]
-    if any(not len(track.t) for track in tracks):
+    tracks = thin_tracks(prediction, recording)
+    if tracks is None:
         return None
     offsets = clock_offsets(prediction, tracks)
     if not len(offsets):
@@ -239,6 +237,13 @@ def fit_trial(
     errors, arcs = np.concatenate([coarse, fine]), np.concatenate([arcs, fine_arcs])
     best = errors.argmin(axis=0)  # (C,)
     return TrialFit(errors[best, rungs], offsets[best], arcs[best, rungs])
+
+
+def thin_tracks(prediction: Prediction, recording: Recording) -> list[Track] | None:
+    """Return the thinned tracks of a predicted trial; None if a point is never seen."""
+    length, horizon = prediction.length, prediction.horizon
+    tracks = [thin_track(track, length, horizon) for track in recording.tracks]
+    return tracks if all(len(track.t) for track in tracks) else None
 
 
 def errors_by_offset(

@@ -11,8 +11,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
-from stringcast.stages.check.consistency.judge import errors_by_offset, farthest_point
-from stringcast.stages.check.consistency.prediction import predict, thin_track
+from stringcast.stages.check.consistency.judge import (
+    errors_by_offset,
+    farthest_point,
+    thin_tracks,
+)
+from stringcast.stages.check.consistency.prediction import predict
 from stringcast.stages.check.consistency.record import Measurements
 from stringcast.stages.check.finding import Finding, warning
 from stringcast.stages.check.measured import CheckedDataset
@@ -55,8 +59,8 @@ def find_trial_offsets(measured: Measurements) -> Mapping[str, float]:
         prediction = predict(measured, recording)
         if prediction is None:
             continue
-        tracks = [thin_track(track, prediction.length) for track in recording.tracks]
-        if not all(len(track.t) for track in tracks):
+        tracks = thin_tracks(prediction, recording)
+        if tracks is None:
             continue
         errors, _ = errors_by_offset(prediction, tracks, tip, OFFSETS_S)
         errors_of_trial[recording.name] = errors
