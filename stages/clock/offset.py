@@ -1,7 +1,8 @@
 """The offset between the clocks of arm and camera, with a 95 % interval.
 
 Geometry limits it to a window (`windows`), and the string model is fitted within it
-(`fit`). The interval accounts for unknown effects of the library (`posterior`).
+(`fit`). The interval accounts for unknown effects of the library
+(`diagnose.clock_offsets`).
 """
 
 from __future__ import annotations

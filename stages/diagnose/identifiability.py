@@ -22,7 +22,11 @@ from stringcast.stages.diagnose.prepared_data import PreparedData
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.discrepancy_grid import marginal_log_likelihood
-from stringcast.stages.inference.laplace import Fit, tip_shift_density
+from stringcast.stages.inference.laplace import (
+    Fit,
+    log_size_density,
+    tip_shift_density,
+)
 from stringcast.stages.inference.solver import DIVERGED_RESIDUAL
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.effect import (
@@ -263,9 +267,9 @@ class _SensitivityAnalysis:
         gains = self._expected_gains(response.unimitated)
         left_one_out = gains.sum(axis=0) - gains.max(axis=0)
         sibling_factor = sum(_log_occam_factor(sibling)[0] for sibling in siblings)
-        relative_size = response.parameter.relative_size(response.chi)  # (C,)
-        log_size_prior = -np.log1p(relative_size**2)
-        log_prior = log_size_prior + _log_occam_factor(response) + sibling_factor
+        relative_sizes = response.parameter.relative_size(response.chi)[:, None]
+        log_prior = log_size_density(relative_sizes) + _log_occam_factor(response)
+        log_prior = log_prior + sibling_factor
         return np.asarray(left_one_out + log_prior)
 
     def is_confusable(

@@ -10,7 +10,6 @@ random sample, probabilities are averaged over a Bayesian bootstrap of them
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -195,7 +194,8 @@ def _shared_probabilities(
 
 def size_prior(fit: Fit) -> float:
     """Compute the prior density of the last cause's size, relative to a small one."""
-    return math.exp(log_size_prior(fit.hypothesis, fit.hypothesis.causes[-1], fit.chi))
+    cause = fit.hypothesis.causes[-1]
+    return float(np.exp(log_size_prior(fit.hypothesis, cause, fit.chi)))
 
 
 def inclusion_probabilities(

@@ -320,17 +320,25 @@ def tip_shift_density(tip_shift: np.ndarray, amplitude: Parameter) -> np.ndarray
 def log_size_prior(
     hypothesis: Hypothesis, cause: type[Effect], chi: np.ndarray
 ) -> float:
-    """Compute the log density of a cause's size, relative to that of a small one.
+    """Compute the log density of a cause's size at exponents (P,).
+
+    It is relative to that of a small size.
+    """
+    sizes = []
+    for index in hypothesis.amplitude_indices(cause):
+        sizes.append(hypothesis.parameters[index].relative_size(chi[index]))
+    return float(log_size_density(np.array(sizes)))
+
+
+def log_size_density(relative_sizes: np.ndarray) -> np.ndarray:
+    """Compute the log density of sizes (..., A), relative to that of small ones, (...).
 
     Amplitudes have a Cauchy distribution with their typical sizes: small ones are
     common, and large ones possible (Gelman et al., Ann. Appl. Stat. 2, 1360, 2008).
 
-    chi: exponents (P,).
+    relative_sizes: of A amplitudes, over their typical sizes.
     """
-    squares = 0.0
-    for index in hypothesis.amplitude_indices(cause):
-        squares += float(hypothesis.parameters[index].relative_size(chi[index])) ** 2
-    return -float(np.log1p(squares))
+    return np.asarray(-np.log1p(np.sum(relative_sizes**2, axis=-1)))
 
 
 def log_volume(curvature: np.ndarray) -> float:
