@@ -9,40 +9,27 @@ from typing import Any
 
 from stringcast.data.errors import ExpectedError
 
-# libraries of extras by module name
-EXTRAS = {
-    "serial": ("pyserial", "lab"),
-    "arviz": ("ArviZ", "arviz"),
-    "mcap_ros2.writer": ("mcap-ros2-support", "mcap"),
-    "mujoco": ("MuJoCo", "mujoco"),
+# packages of the extras of this package, by the library that they install
+OPTIONAL_PACKAGES = {
+    "arviz": "arviz h5netcdf",
+    "dynamixel_sdk": "dynamixel-sdk",
+    "h5py": "h5py",
+    "mcap": "mcap mcap-ros2-support",
+    "mcap_ros2": "mcap mcap-ros2-support",
+    "mujoco": "mujoco",
+    "serial": "pyserial",
 }
 
 
 class MissingPackageError(ExpectedError):
-    """A library of an extra of this package is missing."""
-
-
-def import_optional(module: str) -> ModuleType:
-    """Import a library of an extra.
-
-    Raises MissingPackageError if it is not installed; the message names the extra.
-    """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        name, extra = EXTRAS.get(module, (module, ""))
-        if not extra:
-            raise
-        raise MissingPackageError(
-            f"{name} is needed for this and cannot be imported ({error}). "
-            f'Install it with pip install "stringcast[{extra}]".'
-        ) from error
+    """An optional library is missing."""
 
 
 class LazyModule:
     """A module imported at its first use, such as `cv2 = LazyModule("cv2")`.
 
-    OpenCV takes 0.1 s to load, SciPy's rotations half a second.
+    OpenCV takes 0.1 s to load, SciPy's rotations half a second. The first use of an
+    optional library that is missing raises MissingPackageError.
     """
 
     def __init__(self, module: str) -> None:
@@ -51,7 +38,16 @@ class LazyModule:
 
     @cached_property
     def _module(self) -> ModuleType:
-        return import_optional(self._name)
+        try:
+            return import_module(self._name)
+        except ImportError as error:
+            library = self._name.partition(".")[0]
+            if library not in OPTIONAL_PACKAGES:
+                raise
+            raise MissingPackageError(
+                f"{library} is needed for this and cannot be imported ({error}). "
+                f"Install it: pip install {OPTIONAL_PACKAGES[library]}"
+            ) from error
 
     def import_now(self) -> None:
         """Import the module, so that forked workers need not."""

@@ -1,6 +1,6 @@
 """Tables of DeepLabCut in HDF5, as pandas stores them (`df_with_missing/table`).
 
-They need h5py. pandas would use PyTables, which unpickles any attribute and may run
+pandas would use PyTables, which unpickles any attribute and may run
 code. Here a restricted reader of lists, tuples and texts unpickles the column names.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import pickle
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,7 +16,10 @@ import pandas as pd
 from stringcast.data.file_checks import MAX_COLUMNS, MAX_TABLE_BYTES, require_plain_file
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.deeplabcut import column_name
+from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
+
+h5py = LazyModule("h5py")
 
 TABLE_PATH = "df_with_missing/table"
 VALUES_COLUMN = "values_block_0"
@@ -41,15 +43,8 @@ def recognises(path: Path) -> bool:
 def read(path: Path) -> list[SourceRecording]:
     """Read the positions of all points [px] by frame, as one recording.
 
-    Raises DataError if the file is damaged or h5py is missing.
+    Raises DataError if the file is damaged.
     """
-    if find_spec("h5py") is None:
-        raise DataError(
-            f"{path}: to read HDF5 (or import the CSV beside it), h5py is needed: "
-            "pip install h5py"
-        )
-    import h5py  # noqa: PLC0415
-
     try:
         with h5py.File(require_plain_file(path), "r") as file:
             table = file[TABLE_PATH]

@@ -1,6 +1,6 @@
 """MCAP files (https://mcap.dev) with messages of ROS 2 or in JSON.
 
-They need the packages mcap and mcap-ros2-support. Every topic of joint states, poses,
+Every topic of joint states, poses,
 points or transforms is a recording, in metres, radians and seconds (REP 103).
 """
 
@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from stringcast.data.errors import ExpectedError
 from stringcast.data.file_checks import MAX_COLUMNS, MAX_TABLE_BYTES, require_plain_file
 from stringcast.data.importers import SourceRecording
+from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
+
+mcap_reader = LazyModule("mcap.reader")
+mcap_decoder = LazyModule("mcap_ros2.decoder")
 
 MESSAGE_TYPES = (
     "JointState",
@@ -43,19 +47,14 @@ def recognises(path: Path) -> bool:
 def read(path: Path) -> list[SourceRecording]:
     """Read one recording for each topic that contains positions.
 
-    Raises DataError if the file is damaged or a package is missing.
+    Raises DataError if the file is damaged.
     """
-    if find_spec("mcap") is None or find_spec("mcap_ros2") is None:
-        raise DataError(
-            f"{path}: to read MCAP, two packages are needed: "
-            "pip install mcap mcap-ros2-support"
-        )
     rows: dict[str, list[dict[str, float]]] = {}
     try:
         with require_plain_file(path).open("rb") as file:
             for topic, row in _read_messages(file, path):
                 rows.setdefault(topic, []).append(row)
-    except DataError:
+    except ExpectedError:
         raise
     except Exception as error:  # a damaged file raises any kind
         reason = str(error) or type(error).__name__
@@ -70,11 +69,9 @@ def read(path: Path) -> list[SourceRecording]:
 
 def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield the topic and the numbers of each message, in the order of time."""
-    from mcap.reader import SeekingReader  # noqa: PLC0415
-    from mcap_ros2.decoder import DecoderFactory  # noqa: PLC0415
-
-    reader = SeekingReader(
-        file, decoder_factories=[DecoderFactory()], record_size_limit=MAX_TABLE_BYTES
+    decoders = [mcap_decoder.DecoderFactory()]
+    reader = mcap_reader.SeekingReader(
+        file, decoder_factories=decoders, record_size_limit=MAX_TABLE_BYTES
     )
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:

@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -46,6 +45,7 @@ from stringcast.hardware.serial.wire import check_latency
 from stringcast.stages.execute.interfaces import HardwareError
 from stringcast.stages.model.arm import Arm
 
+dynamixel_sdk = LazyModule("dynamixel_sdk")
 serial = LazyModule("serial")
 
 # repetitions of a packet, as a disturbed line loses single ones
@@ -117,7 +117,6 @@ class DynamixelBus:
     clock_ms: int | None = None
     rounding_debt: np.ndarray = field(default_factory=lambda: np.zeros(0))
     max_counts: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=int))
-    sdk: Any = None
     handler: Any = None
     packets: Any = None
     reader: Any = None
@@ -261,19 +260,12 @@ class DynamixelBus:
 
     def _connect(self) -> None:
         check_latency(self.port)
-        try:
-            self.sdk = import_module("dynamixel_sdk")
-        except ModuleNotFoundError as error:
-            raise HardwareError(
-                "hardware=dynamixel needs the maker's library: pip install "
-                "dynamixel-sdk"
-            ) from error
-        self.handler = self.sdk.PortHandler(self.port)
+        self.handler = dynamixel_sdk.PortHandler(self.port)
         # The library waits at least 34 ms, seven ticks.
         self.handler.setPacketTimeout = lambda length: (
             self.handler.setPacketTimeoutMillis(self.reply * 1e3)
         )
-        self.packets = self.sdk.PacketHandler(2.0)
+        self.packets = dynamixel_sdk.PacketHandler(2.0)
         fault = f"the library knows no rate of {self.baud} baud"
         try:
             is_open = self.handler.setBaudRate(self.baud)
@@ -285,8 +277,10 @@ class DynamixelBus:
                 "Check hardware.port and the cable."
             )
         self.handler.ser.timeout = READ_BLOCK_S
-        self.reader = self.sdk.GroupSyncRead(self.handler, self.packets, *STATE_BLOCK)
-        self.writer = self.sdk.GroupSyncWrite(
+        self.reader = dynamixel_sdk.GroupSyncRead(
+            self.handler, self.packets, *STATE_BLOCK
+        )
+        self.writer = dynamixel_sdk.GroupSyncWrite(
             self.handler, self.packets, *GOAL_VELOCITY
         )
         for servo in self.servos:
@@ -361,7 +355,7 @@ class DynamixelBus:
         for _ in range(MAX_TRIES):
             *data, result, error = self._call(act, self.handler, servo.id, *details)
             error &= 0x7F  # ignore the top bit: see HARDWARE_ERROR
-            if result == self.sdk.COMM_SUCCESS and error == 0:
+            if result == dynamixel_sdk.COMM_SUCCESS and error == 0:
                 return data
             fault = self.packets.getRxPacketError(error)
             fault = fault or self.packets.getTxRxResult(result)
@@ -384,7 +378,7 @@ class DynamixelBus:
 
     def _read_all(self) -> list[bytes]:
         """Read the registers STATE_BLOCK of all servos; empty if one is silent."""
-        if self._call(self.reader.txRxPacket) != self.sdk.COMM_SUCCESS:
+        if self._call(self.reader.txRxPacket) != dynamixel_sdk.COMM_SUCCESS:
             return []
         return [bytes(self.reader.data_dict[servo.id]) for servo in self.servos]
 

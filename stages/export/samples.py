@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stringcast.data.lazy_module import import_optional
+from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.inference.batch import normalised_residuals
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.model import Model
+
+arviz = LazyModule("arviz")
 
 
 def log_likelihoods(
@@ -48,7 +50,6 @@ def inference_data(
     It has the groups `posterior`, with a variable for each parameter, and
     `log_likelihood`, with the dimension `trial`. Draws are independent, in one chain.
     """
-    arviz = import_optional("arviz")
     posterior = {}
     for parameter in model.parameters:
         posterior[parameter.name] = draws[parameter.name].to_numpy(float)[None]

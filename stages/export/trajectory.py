@@ -10,7 +10,9 @@ from typing import Any
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, SPEEDS
-from stringcast.data.lazy_module import import_optional
+from stringcast.data.lazy_module import LazyModule
+
+mcap_writer = LazyModule("mcap_ros2.writer")
 
 TYPE_NAME = "trajectory_msgs/msg/JointTrajectory"
 TOPIC = "/joint_trajectory"
@@ -83,9 +85,8 @@ def trajectory_json(trajectory: dict[str, Any]) -> str:
 
 def write_mcap(trajectory: dict[str, Any], file: Path) -> None:
     """Write a trajectory as one message of an MCAP file."""
-    writer = import_optional("mcap_ros2.writer").Writer
     with file.open("wb") as stream:
-        recording = writer(stream)
+        recording = mcap_writer.Writer(stream)
         schema = recording.register_msgdef(TYPE_NAME, DEFINITION)
         recording.write_message(TOPIC, schema, trajectory, log_time=0, publish_time=0)
         recording.finish()

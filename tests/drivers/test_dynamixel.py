@@ -17,6 +17,7 @@ import pytest
 from rig import ARM, DRIVING, emulator, events, movement, standstill
 
 from stringcast.data.artifacts import LINK, SENT_SPEEDS, TICKS
+from stringcast.data.lazy_module import LazyModule, MissingPackageError
 from stringcast.hardware.arm import Driving, VelocityArm
 from stringcast.hardware.dynamixel.bus import DynamixelBus, ServoSettings
 from stringcast.hardware.dynamixel.emulator.bus import LIMIT, EmulatedBus
@@ -411,8 +412,11 @@ def test_missing_bus_gives_one_clear_error():
 
 def test_missing_library_gives_one_clear_error(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
+    monkeypatch.setattr(
+        "stringcast.hardware.dynamixel.bus.dynamixel_sdk", LazyModule("dynamixel_sdk")
+    )
     with (
-        pytest.raises(HardwareError, match="pip install dynamixel-sdk"),
+        pytest.raises(MissingPackageError, match="pip install dynamixel-sdk"),
         driver(str(tmp_path / "port")),
     ):
         pass

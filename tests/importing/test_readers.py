@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import sys
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,7 @@ from stringcast.data.importers import deeplabcut_h5
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import gather_tables
 from stringcast.data.importers.reader import ColumnHints
+from stringcast.data.lazy_module import LazyModule, MissingPackageError
 from stringcast.data.schema import DataError
 
 FRAMES = 5
@@ -211,14 +213,18 @@ def test_reading_hdf5_names_runs_no_code(names, capsys):
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.parametrize("name", ["bag.mcap", "dlc.h5"])
-def test_missing_packages_are_named(tmp_path, name, monkeypatch):
-    monkeypatch.setattr(
-        "stringcast.data.importers.mcap.find_spec", lambda package: None
-    )
-    monkeypatch.setattr(
-        "stringcast.data.importers.deeplabcut_h5.find_spec", lambda package: None
-    )
+@pytest.mark.parametrize(
+    ("name", "reader", "module"),
+    [
+        ("bag.mcap", "mcap.mcap_decoder", "mcap_ros2.decoder"),
+        ("dlc.h5", "deeplabcut_h5.h5py", "h5py"),
+    ],
+)
+def test_missing_packages_are_named(tmp_path, name, reader, module, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr(f"stringcast.data.importers.{reader}", LazyModule(module))
     (tmp_path / name).write_bytes(b"")
-    with pytest.raises(DataError, match=r"pip install (mcap mcap-ros2-support|h5py)"):
+    with pytest.raises(
+        MissingPackageError, match=r"pip install (mcap mcap-ros2-support|h5py)"
+    ):
         read_recordings([tmp_path / name])
