@@ -16,7 +16,7 @@ from pydantic import Field
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
-from stringcast.stages.common import Progress
+from stringcast.stages.common import Progress, rms
 from stringcast.stages.estimate.matching import (
     Matching,
     matching_rate,
@@ -41,6 +41,7 @@ from stringcast.stages.inference.covariance import (
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
 from stringcast.stages.inference.mesh_limit import (
+    loss_at_noise,
     refine_at_mesh_limit,
     subtract_uncertain_error,
 )
@@ -118,12 +119,7 @@ def estimate(
     best = search_parameters(likelihood, chosen, iterations, progress, known)
     likelihood, best = refine_solution(likelihood, best)
     on_mesh = likelihood
-    likelihood, best = refine_at_mesh_limit(on_mesh, best)
-    is_stuck = likelihood is on_mesh and max(on_mesh.noise_scales) >= MISFIT_RATIO
-    if is_stuck and previous is not None:
-        # A coarse mesh may lead to a solution that cannot be corrected: string D became
-        # twice as stiff in a look and a cast
-        likelihood, best = refine_at_mesh_limit(on_mesh, best, before)
+    likelihood, best = _refine_at_mesh_limit(on_mesh, best, known)
     is_at_limit = likelihood is not on_mesh
 
     corrected_trials = likelihood.data.trials
@@ -145,6 +141,35 @@ def estimate(
         share = share_of_blocks(linear)
     draws = sample_posterior(likelihood.parameters, best, linear, share, seed)
     return build_estimate(targets, before, best, search, interval, draws, mesh_errors)
+
+
+def _refine_at_mesh_limit(
+    on_mesh: Likelihood, chi: np.ndarray, earlier: np.ndarray | None
+) -> tuple[Likelihood, np.ndarray]:
+    """Refine a solution (P,) at the mesh limit, if necessary from earlier exponents.
+
+    A coarse mesh may lead to a solution that cannot be corrected, or only to a worse
+    one: string D became twice as stiff in a look and a cast. So the correction begins
+    again at the earlier estimate if it leaves more than noise.
+    """
+    corrected = refine_at_mesh_limit(on_mesh, chi)
+    if earlier is None or _largest_residual_ratio(*corrected) < MISFIT_RATIO:
+        return corrected
+    from_earlier = refine_at_mesh_limit(on_mesh, chi, earlier)
+    scales = on_mesh.noise_scales
+    return min(corrected, from_earlier, key=lambda found: loss_at_noise(*found, scales))
+
+
+def _largest_residual_ratio(likelihood: Likelihood, chi: np.ndarray) -> float:
+    """Compute the largest residual of a trial over its points' sigma, at chi (P,).
+
+    Unlike the robust scale of the noise, it counts late frames, where strings whip.
+    """
+    whitened = likelihood.residuals_by_trial(chi[None])
+    ratios = []
+    for scale, residual in zip(likelihood.noise_scales, whitened, strict=True):
+        ratios.append(scale * rms(residual))
+    return max(ratios)
 
 
 def _parameter_intervals(

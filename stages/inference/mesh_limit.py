@@ -92,10 +92,22 @@ def refine_at_mesh_limit(
         best = refine_exponents(corrected, best, CORRECTION_ITERATIONS)
         plain = with_refined_initial_states(plain, best)
 
-    loss = _loss_at_noise(likelihood, likelihood.noise_scales, chi)
-    if _loss_at_noise(corrected, likelihood.noise_scales, best) < loss:
+    scales = likelihood.noise_scales
+    if loss_at_noise(corrected, best, scales) < loss_at_noise(likelihood, chi, scales):
         return corrected, best
     return likelihood, chi
+
+
+def loss_at_noise(
+    likelihood: Likelihood, chi: np.ndarray, noise_scales: tuple[float, ...]
+) -> float:
+    """Compute the loss at exponents (P,) with a given noise scale for each trial."""
+    trials = []
+    for trial, scale in zip(likelihood.data.trials, noise_scales, strict=True):
+        errors = replace(trial.independent_errors, scale=scale)
+        trials.append(replace(trial, error_model=errors))
+    residual = likelihood.with_trials(trials).residuals(chi[None])
+    return float(huber_loss(residual, likelihood.limit)[0])
 
 
 def subtract_uncertain_error(
@@ -145,15 +157,3 @@ def _with_uncertain_errors(
         errors = trial.independent_errors.with_nuisance(shape)
         trials.append(replace(trial, error_model=errors))
     return likelihood.with_trials(trials)
-
-
-def _loss_at_noise(
-    likelihood: Likelihood, noise_scales: tuple[float, ...], chi: np.ndarray
-) -> float:
-    """Compute the loss at exponents (P,) with a given noise scale for each trial."""
-    trials = []
-    for trial, scale in zip(likelihood.data.trials, noise_scales, strict=True):
-        errors = replace(trial.independent_errors, scale=scale)
-        trials.append(replace(trial, error_model=errors))
-    residual = likelihood.with_trials(trials).residuals(chi[None])
-    return float(huber_loss(residual, likelihood.limit)[0])

@@ -345,44 +345,48 @@ def test_earlier_estimate_is_refined_on_whole_trials(arm, camera, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("noise_scale", "is_first", "is_repeated"),
-    [(2.8, False, True), (1.2, False, False), (2.8, True, False)],
+    ("left", "earlier", "left_from_earlier", "expected"),
+    [
+        (4.0, "look", 1.6, "look"),
+        (4.0, "look", 5.0, "solution"),
+        (1.2, "look", 1.0, "solution"),
+        (4.0, None, 1.6, "solution"),
+    ],
 )
 def test_a_correction_begins_again_at_the_earlier_estimate_if_misfit_is_left(
-    arm, camera, monkeypatch, noise_scale, is_first, is_repeated
+    monkeypatch, left, earlier, left_from_earlier, expected
 ):
-    """Two casts of string D were fitted with twice its stiffness."""
-    model = Model(STRING, arm, camera)
-    previous = None if is_first else SimpleNamespace(values=lambda: TRUTH)
-    solution = model.exponents_of_values(TRUTH | {"bending_stiffness": 4.0})
-    data = SimpleNamespace(trials=())
-    fitted = SimpleNamespace(noise_scales=[1.0, noise_scale], data=data)
-    corrections = []
+    """After a look and a cast, string D was 1.5 times too stiff.
 
-    class CorrectedError(Exception):
-        pass
+    Most residuals were small, so that the robust scale of the noise was 1.25.
+    """
 
-    def leave_uncorrected(likelihood, chi, start=None):
-        assert chi is solution
-        corrections.append(start)
-        return likelihood, chi
+    def leave(ratio):
+        def residuals_by_trial(chi):
+            return [np.ones((1, 8)), np.full((1, 8), ratio / 1.25)]
 
-    def end_estimate(likelihood, chi):
-        raise CorrectedError
-
-    monkeypatch.setattr(least_squares, "search_parameters", lambda *_: solution)
-    monkeypatch.setattr(least_squares, "refine_solution", lambda *_: (fitted, solution))
-    monkeypatch.setattr(least_squares, "refine_at_mesh_limit", leave_uncorrected)
-    monkeypatch.setattr(least_squares, "matching_rate", end_estimate)
-    settings = {"starts": 1, "screening": 1, "iterations": 1, "matching": MATCHING}
-    with pytest.raises(CorrectedError):
-        least_squares.estimate(
-            model, [simulate_swing(0)], previous, seed=0, cast_number=2, **settings
+        scales = (1.0, 1.25)
+        return SimpleNamespace(
+            noise_scales=scales, residuals_by_trial=residuals_by_trial, loss=ratio
         )
-    assert len(corrections) == 1 + is_repeated
-    if is_repeated:
-        true = model.exponents_of_values(TRUTH)
-        np.testing.assert_allclose(corrections[1], true)
+
+    solutions = {
+        "solution": (leave(left), np.array([0.5])),
+        "look": (leave(left_from_earlier), np.array([0.3])),
+    }
+
+    def correct(likelihood, chi, start="solution"):
+        return solutions[start]
+
+    def known_loss(likelihood, chi, noise_scales):
+        assert noise_scales == on_mesh.noise_scales
+        return likelihood.loss
+
+    on_mesh = SimpleNamespace(noise_scales=(1.0, 1.4))
+    monkeypatch.setattr(least_squares, "refine_at_mesh_limit", correct)
+    monkeypatch.setattr(least_squares, "loss_at_noise", known_loss)
+    found = least_squares._refine_at_mesh_limit(on_mesh, None, earlier)
+    assert found is solutions[expected]
 
 
 def test_undetermined_parameters_are_reported(arm, camera):
