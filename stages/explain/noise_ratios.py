@@ -20,6 +20,7 @@ from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
     discretisation_error,
     resolved_frames,
+    uncertain_discretisation_error,
     with_corrected_points,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -111,7 +112,8 @@ def mesh_fraction(
 ) -> float:
     """Compute the mean square mesh error over the mean square residual beyond noise.
 
-    NaN if the finer string diverges, and 0 if the estimate subtracted the error.
+    If the estimate subtracted the error, only the part counts on which meshes disagree.
+    NaN if a finer string diverges.
 
     Parameters
     ----------
@@ -124,10 +126,12 @@ def mesh_fraction(
     observations : sequence of Observation
         The same trials, for their noise.
     """
-    if estimate.mesh_error_m > 0:
-        return 0.0
     misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
-    error = discretisation_error(likelihood, chi)
+    is_subtracted = estimate.mesh_error_m > 0
+    find_error = (
+        uncertain_discretisation_error if is_subtracted else discretisation_error
+    )
+    error = find_error(likelihood, chi)
     return error**2 / max(misfit, float(np.finfo(float).tiny))
 
 

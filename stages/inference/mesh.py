@@ -45,6 +45,21 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
+def uncertain_discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
+    """Compute the part of the discretisation error on which three meshes disagree.
+
+    Returns the root mean square at the measured points [m], at parameters (P,); NaN if
+    a simulation diverges.
+    """
+    trials = likelihood.data.trials
+    _, uncertainties = extrapolate_errors(likelihood.model, trials, chi)
+    squares = []
+    for trial, uncertainty in zip(trials, uncertainties, strict=True):
+        errors = uncertainty.reshape(-1, 2) * trial.sigma[:, None]
+        squares.append(np.sum(errors**2, axis=1))
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
 def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
     """Subtract the discretisation error at parameters (P,) from the measured points.
 

@@ -1121,12 +1121,18 @@ def test_miss_is_corrected_without_knowing_its_cause(where, hidden):
     assert casts[1].has_hit
 
 
-@pytest.mark.parametrize(("subtracted_m", "expected"), [(0.0, 0.25), (1e-3, 0.0)])
-def test_subtracted_mesh_error_is_not_part_of_the_residual(
+@pytest.mark.parametrize(("subtracted_m", "expected"), [(0.0, 0.25), (1e-3, 1 / 16)])
+def test_only_the_uncertain_part_of_a_subtracted_mesh_error_is_left(
     monkeypatch, subtracted_m, expected
 ):
-    """A mesh error of 2 mm is a quarter of the mean square of 4 mm beyond noise."""
+    """A mesh error of 2 mm is a quarter of the mean square of 4 mm beyond noise.
+
+    Of a subtracted error, three meshes disagree on 1 mm.
+    """
     monkeypatch.setattr(noise_ratios, "discretisation_error", lambda *given: 2e-3)
+    monkeypatch.setattr(
+        noise_ratios, "uncertain_discretisation_error", lambda *given: 1e-3
+    )
     monkeypatch.setattr(noise_ratios, "rms_m", lambda estimate: 5e-3)
     monkeypatch.setattr(noise_ratios, "noise_m", lambda observations: 3e-3)
     estimate = SimpleNamespace(mesh_error_m=subtracted_m)

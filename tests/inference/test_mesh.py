@@ -12,6 +12,7 @@ from stringcast.stages.inference.mesh import (
     discretisation_error,
     mesh_ladder,
     resolved_frames,
+    uncertain_discretisation_error,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
@@ -68,6 +69,20 @@ def test_the_error_of_a_mesh_is_of_second_order_and_the_distance_from_the_truth(
     far = rms_distance(prepare_trial(model(77, 2.5e-4), trial), cast_set.truth)
     own = Likelihood(TrialData((prepare_trial(model(), trial),)), model())
     assert discretisation_error(own, chi) == pytest.approx(far, rel=0.05)
+
+
+def test_meshes_disagree_only_where_they_do_not_resolve_the_string(cast_set):
+    """Of errors a h^2 + b h^4, extrapolation leaves a term of the fourth order."""
+    chi = parameter_exponents(model().parameters, cast_set.truth)
+    whole = [likelihood(cast_set, *mesh) for mesh in ((20, 1e-3), (39, 5e-4))]
+    begun = [mesh.cut_after_onset(0.4) for mesh in whole]
+    coarse, fine = (uncertain_discretisation_error(mesh, chi) for mesh in begun)
+    assert coarse / fine > 8
+    shares = []
+    for trials in (begun[0], whole[0]):
+        uncertain = uncertain_discretisation_error(trials, chi)
+        shares.append(uncertain / discretisation_error(trials, chi))
+    assert shares[0] < 0.2 < shares[1]
 
 
 def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
