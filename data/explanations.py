@@ -56,7 +56,7 @@ EXPLANATIONS = Table(
     "causes that were compared, the most probable first; none has an empty name",
     parse_columns("""
     effects (text): names, separated by spaces; empty for the model as it was
-    probability [1]: that these alone are active, among those compared
+    probability [1]: that these alone are active; the rest belongs to untried causes
     log_evidence [1]: gain over the model as it was
     tip_rms [m]: distance of the simulated from the measured tip, root mean square
     fitted (bool): fitted from many starts; else compared by a few iterations
@@ -116,6 +116,13 @@ class Explanation(Estimate):
     def named_causes(self) -> tuple[str, ...]:
         """Effects that explain the trials; empty without a verdict."""
         return next(iter(self.cause_sets)) if self.verdict == "cause" else ()
+
+    @property
+    def untried_probability(self) -> float:
+        """Probability of causes that there was no time to compare."""
+        if self.explanations.empty:
+            return 0.0
+        return 1 - sum(self.cause_sets.values())
 
     @property
     def causes(self) -> dict[str, float]:

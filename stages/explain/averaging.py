@@ -49,11 +49,12 @@ def average_over_causes(
         Seed of the choice of draws.
     """
     mixed: dict[Causes, tuple[float, Estimate]] = {}  # probability and fit
+    least_mixed = MIXED_PROBABILITY * sum(evidence.probabilities.values())
     rows = []
     for causes, probability in evidence.probabilities.items():
         comparison = evidence.compared[causes]
         fit = comparison.estimate
-        if fit is not None and (probability >= MIXED_PROBABILITY or not mixed):
+        if fit is not None and (probability >= least_mixed or not mixed):
             mixed[causes] = probability, fit
         row = {
             "effects": " ".join(causes),

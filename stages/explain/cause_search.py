@@ -448,6 +448,27 @@ class CauseSearch:
             return False
         return len(best.causes) == 1 or self.leaves_only_noise(best)
 
+    def untried_share(self) -> float:
+        """Compute the share of untried sets among those next to the most probable one.
+
+        Those next to it have another effect in place of one of its causes, or one more
+        if it leaves more than noise. All are equally probable a priori. Unless the
+        order in which they were tried is informative, their share is the probability
+        that the best of all is among the untried.
+        """
+        compared = self.comparisons_without_idle_causes().values()
+        leading = max(compared, key=self.log_posterior)
+        is_fitted = leading.estimate is not None
+        if self.is_complete or (is_fitted and self.is_confirmed(leading)):
+            return 0.0
+        bases = parts_of(leading.causes)
+        is_explained = is_fitted and self.is_explained(leading)
+        if len(leading.causes) < MAX_CAUSES and not is_explained:
+            bases.append(leading.causes)
+        untried = [base for base in bases if base not in self.screenings]
+        sets_of_each = len(self.effects)
+        return sets_of_each * len(untried) / (1 + sets_of_each * len(bases))
+
     def is_exchanged(self, best: Comparison) -> bool:
         """Return whether each of the explaining causes was exchanged for all others."""
         return self.is_explained(best) and self.base_of_swap(best) is None

@@ -33,7 +33,8 @@ class Evidence:
     compared : mapping
         Comparisons by their causes.
     probabilities : mapping
-        Probabilities of the same causes, the largest first.
+        Probabilities of the same causes, the largest first; with the untried ones,
+        their sum is 1.
     noise_ratios : NoiseRatios
         Ratios of the best causes if they explain half of the misfit, else of no cause.
     tolerance_m : float
@@ -42,6 +43,8 @@ class Evidence:
         Whether all likely causes were fitted.
     is_checked : bool
         Whether rivals were compared, or earlier trials showed the same causes.
+    untried_probability : float
+        Probability of causes that there was no time to compare.
     """
 
     compared: Mapping[Causes, Comparison]
@@ -50,6 +53,7 @@ class Evidence:
     tolerance_m: float
     is_complete: bool
     is_checked: bool = True
+    untried_probability: float = 0.0
 
     @property
     def best(self) -> Comparison:
@@ -63,11 +67,20 @@ class Evidence:
 
 
 def posterior_probabilities(
-    compared: Mapping[Causes, Comparison], candidates: int
+    compared: Mapping[Causes, Comparison],
+    candidates: int,
+    untried_probability: float = 0.0,
 ) -> dict[Causes, float]:
     """Compute the probability of all compared causes, the most probable first.
 
-    candidates: number of effects that share the prior probability of one being active.
+    Parameters
+    ----------
+    compared : mapping to Comparison
+        Comparisons by their causes.
+    candidates : int
+        Number of effects that share the prior probability of one being active.
+    untried_probability : float
+        Probability of causes that there was no time to compare.
     """
     log_evidence = {}
     for causes, comparison in compared.items():
@@ -75,7 +88,8 @@ def posterior_probabilities(
         log_evidence[causes] = np.array([comparison.log_evidence + prior_odds])
     probabilities = effect_probabilities(log_evidence, candidates)
     ranked = sorted(probabilities, key=lambda causes: -probabilities[causes])
-    return {causes: probabilities[causes] for causes in ranked}
+    tried = 1 - untried_probability
+    return {causes: tried * probabilities[causes] for causes in ranked}
 
 
 def most_probable_fit(
@@ -132,6 +146,9 @@ def _decide_about_causes(evidence: Evidence) -> tuple[str, str]:
         for causes, p in evidence.probabilities.items():
             if p >= MIXED_PROBABILITY:
                 others.append(f"{describe_causes(causes)} ({p:.2f})")
+        if evidence.untried_probability >= MIXED_PROBABILITY:
+            untried = f"causes not compared ({evidence.untried_probability:.2f})"
+            others.append(f"{untried}, because {TIME_IS_UP}")
         return "candidates", f"{effect}, but others may act: {', '.join(others)}."
 
     effect += f" (probability {probability:.2f})"

@@ -165,9 +165,15 @@ def weigh_evidence(search: CauseSearch, previous: Explanation | None) -> Evidenc
     probabilities = posterior_probabilities(compared, len(search.effects))
     best = most_probable_fit(compared, probabilities)
     base = compared[NO_CAUSE]
+    base = compared[NO_CAUSE]
+    was_named = previous is not None and previous.named_causes == best.causes
+    untried = 0.0
+    if not (was_named and search.is_explained(best)):
+        untried = search.untried_share()
+        probabilities = posterior_probabilities(compared, len(search.effects), untried)
     # Several false effects together may fit a few trials, so rivals must be compared
     is_checked = (
-        (previous is not None and previous.named_causes == best.causes)
+        was_named
         or len(best.causes) == 1
         or search.is_confirmed(best)
         or search.is_exchanged(best)
@@ -180,6 +186,7 @@ def weigh_evidence(search: CauseSearch, previous: Explanation | None) -> Evidenc
         tolerance_m=search.tolerance_m,
         is_complete=search.is_complete,
         is_checked=is_checked,
+        untried_probability=untried,
     )
 
 
@@ -197,9 +204,10 @@ def reason_for_no_search(
 
 def earlier_causes(previous: Explanation) -> list[Causes]:
     """List the causes that were likely before; these are fitted first."""
+    compared = sum(previous.cause_sets.values())
     likely = []
     for causes, probability in previous.cause_sets.items():
-        if causes and probability >= MIXED_PROBABILITY:
+        if causes and probability >= MIXED_PROBABILITY * compared:
             likely.append(causes)
     return likely
 

@@ -63,7 +63,12 @@ def fitted_comparison(names, log_evidence, rms_m):
 
 
 def verdict_on(
-    *found, is_complete=True, ratio=1.0, ratio_without=10.0, mesh_fraction=0.0
+    *found,
+    is_complete=True,
+    ratio=1.0,
+    ratio_without=10.0,
+    mesh_fraction=0.0,
+    untried=0.0,
 ):
     """Return verdict and sentence if the residual without causes is 40 mm.
 
@@ -72,9 +77,17 @@ def verdict_on(
     compared = {
         each.causes: each for each in (fitted_comparison("", 0.0, 0.04), *found)
     }
-    probabilities = posterior_probabilities(compared, CANDIDATES)
+    probabilities = posterior_probabilities(compared, CANDIDATES, untried)
     ratios = NoiseRatios(ratio_without, ratio, mesh_fraction)
-    return decide(Evidence(compared, probabilities, ratios, TOLERANCE_M, is_complete))
+    evidence = Evidence(
+        compared,
+        probabilities,
+        ratios,
+        TOLERANCE_M,
+        is_complete,
+        untried_probability=untried,
+    )
+    return decide(evidence)
 
 
 def test_explaining_cause_is_named_after_an_incomplete_search():
@@ -84,6 +97,28 @@ def test_explaining_cause_is_named_after_an_incomplete_search():
         )
         assert verdict == "cause"
         assert "wind" in sentence
+
+
+def test_cause_is_not_named_if_half_of_its_rivals_were_not_compared():
+    found = fitted_comparison("gravity_direction tip_mass", 80.0, 0.001)
+    verdict, sentence = verdict_on(found, is_complete=False, untried=0.5)
+    assert verdict == "candidates"
+    assert "tip mass (0.50), causes not compared (0.50)" in sentence
+
+
+def test_untried_causes_lower_the_probability_of_all_others_alike():
+    found = [
+        fitted_comparison("wind", 8.0, 0.01),
+        fitted_comparison("clamp", 7.0, 0.01),
+    ]
+    compared = {
+        each.causes: each for each in (fitted_comparison("", 0.0, 0.04), *found)
+    }
+    all_tried = posterior_probabilities(compared, CANDIDATES)
+    probabilities = posterior_probabilities(compared, CANDIDATES, 0.3)
+    assert sum(probabilities.values()) == pytest.approx(0.7)
+    for causes, probability in probabilities.items():
+        assert probability == pytest.approx(0.7 * all_tried[causes])
 
 
 def test_partial_cause_is_undecided_after_an_incomplete_search():
@@ -182,6 +217,8 @@ def test_rivals_of_earlier_causes_are_as_evident_as_before():
         assert tuple(effect.name for effect in rival.effects) == causes
         assert rival.comparison.log_evidence == pytest.approx(200 - np.log(8))
     assert not rivals_of_earlier(previous, likely[:1], None, best)
+    fewer = {names: 0.2 * p for names, p in probabilities.items()}
+    assert earlier_causes(explanation_with(fewer, "candidates")) == likely
 
 
 def test_rivals_of_earlier_causes_with_other_numbers_of_causes_stay_as_probable():
@@ -332,6 +369,34 @@ def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
     )
     assert probabilities["gravity_direction", "tip_mass"] < 0.9
     assert searched.is_exchanged(searched.best)
+
+
+@pytest.mark.parametrize(
+    ("left_mm", "screened", "expected"),
+    [
+        # 4 sets in place of each cause, and the two causes themselves
+        (1.0, [NO_CAUSE, ("gravity_direction",)], 4 / 9),
+        (1.0, [NO_CAUSE], 8 / 9),
+        (1.0, [("gravity_direction",), ("tip_mass",)], 0.0),
+        # causes that leave more than noise may also need a third one
+        (1.5, [NO_CAUSE, ("gravity_direction",)], 8 / 13),
+    ],
+)
+def test_untried_sets_have_their_share_of_the_sets_next_to_the_best(
+    search, monkeypatch, left_mm, screened, expected
+):
+    """A search that time ends is not certain: string D had false causes with 1.00."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", left_mm)
+    searched = search.begin(ALL_FOUR)
+    two = searched.comparer.fit(find_effects(["gravity_direction", "tip_mass"]), None)
+    searched.fitted[two.causes] = two
+    for base in screened:
+        searched.screenings[base] = Screening([])
+    assert searched.untried_share() == 0.0  # nothing is left to try
+    searched.is_complete = False
+    assert searched.untried_share() == pytest.approx(expected)
+    searched.earlier = [two.causes]
+    assert (searched.untried_share() == 0.0) == (left_mm == 1.0 or expected == 0.0)
 
 
 def test_cause_that_was_added_first_is_dropped_if_the_others_explain_as_much(

@@ -73,6 +73,9 @@ def cause_table(explanation: Explanation) -> TableView | None:
         if np.isnan(cause.tip_rms):
             tip = "on a coarse mesh"
         rows.append([name, *number_cells([f"{cause.probability:.2f}", tip])])
+    if explanation.untried_probability >= MIN_SHOWN_PROBABILITY:
+        untried = f"{explanation.untried_probability:.2f}"
+        rows.append(["not compared for lack of time", *number_cells([untried, ""])])
     return (
         TableView(("cause", "probability", "misfit of the tip"), rows) if rows else None
     )
