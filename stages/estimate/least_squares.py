@@ -156,8 +156,10 @@ def _refine_at_mesh_limit(
     if earlier is None or _largest_residual_ratio(*corrected) < MISFIT_RATIO:
         return corrected
     from_earlier = refine_at_mesh_limit(on_mesh, chi, earlier)
-    scales = on_mesh.noise_scales
-    return min(corrected, from_earlier, key=lambda found: loss_at_noise(*found, scales))
+    losses = []
+    for likelihood, solution in (corrected, from_earlier):
+        losses.append(loss_at_noise(likelihood, solution, on_mesh.noise_scales))
+    return from_earlier if losses[1] < losses[0] else corrected
 
 
 def _largest_residual_ratio(likelihood: Likelihood, chi: np.ndarray) -> float:
