@@ -102,8 +102,9 @@ def _fit_with_discrepancy(
 
 def fit_drift(clock: ClockFit) -> ClockFit:
     """Fit a drift of the clocks in addition to the offset, from a fit without it."""
-    model = clock.fit.hypothesis.model.with_effects(ClockDrift)
-    hypothesis = Hypothesis(model)
+    hypothesis = clock.fit.hypothesis
+    drifting = hypothesis.base.with_effects(ClockDrift)
+    hypothesis = replace(hypothesis, base=drifting)
     start = hypothesis.exponents_from(clock.fit.exponents)
     fit = fit_hypothesis(clock.data, hypothesis, start[None], clock.fit.grid_points)
     return ClockFit(clock.data, fit)
@@ -115,11 +116,10 @@ def explained_by_offset(clock: ClockFit, other: float) -> float:
     other: offset for comparison [s]; the string is refitted with it.
     """
     fit = clock.fit
-    model = fit.hypothesis.model
+    model = fit.hypothesis.base
     fixed = {OFFSET: (other - FIXED_WITHIN_S, other + FIXED_WITHIN_S)}
-    hypothesis = Hypothesis(
-        replace(model, measured_ranges={**model.measured_ranges, **fixed})
-    )
+    fixed_model = replace(model, measured_ranges={**model.measured_ranges, **fixed})
+    hypothesis = replace(fit.hypothesis, base=fixed_model)
     start = hypothesis.exponents_from({**fit.exponents, OFFSET: 0.5})
     fixed_fit = fit_hypothesis(clock.data, hypothesis, start[None], fit.grid_points)
     return explained_fraction(clock, replace(clock, fit=fixed_fit))

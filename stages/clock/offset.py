@@ -1,13 +1,13 @@
 """The offset between the clocks of arm and camera, with a 95 % interval.
 
 Geometry limits it to a window (`windows`), and the string model is fitted within it
-(`fit`). The interval accounts for unknown effects of the library
-(`diagnose.clock_offsets`).
+(`fit`). The interval accounts for unknown effects of the library: large ones are fitted
+(`hidden_causes`), small ones averaged out (`diagnose.clock_offsets`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,10 @@ from stringcast.stages.clock.fit import (
     profile_offset,
     refit_from,
     shift_observations,
+)
+from stringcast.stages.clock.hidden_causes import (
+    average_by_evidence,
+    fits_with_causes,
 )
 from stringcast.stages.clock.windows import (
     HARMLESS_OFFSET_S,
@@ -180,8 +184,11 @@ def fit_clock_offset(
 
     window = windows[used[0].name]
     part = partial_progress(progress, 0, 2)
-    common_fit, profile = _fit_within(model, used, window, rng, part)
-    together = _describe_common(common_fit, profile, used, window)
+    plain_fit, profile = _fit_within(model, used, window, rng, part)
+    common_fits = fits_with_causes(plain_fit)
+    if common_fits[0] is not plain_fit:
+        profile = profile_offset(common_fits[0], window.half_width + EDGE_S)
+    together = _describe_common(common_fits, profile, used, window)
     if together.clock.is_common:
         progress(1.0)
         return together
@@ -189,11 +196,11 @@ def fit_clock_offset(
     # The search with one offset may have missed the string found with several
     offsets = [interval.value for interval in separate.clock.by_trial.values()]
     middle = float(np.median(offsets)) - window.middle
-    common_fit = refit_with_one_offset(common_fit, joint_fit, middle)
+    common_fit = refit_with_one_offset(common_fits[0], joint_fit, middle)
     if explains_more(joint_fit, common_fit):
         return separate
     profile = profile_offset(common_fit, window.half_width + EDGE_S)
-    together = _describe_common(common_fit, profile, used, window)
+    together = _describe_common([common_fit], profile, used, window)
     return replace(together, clock=replace(together.clock, is_common=True))
 
 
@@ -206,7 +213,7 @@ def _estimate_separate_offsets(
     """Estimate an offset for each trial, with one string for all.
 
     Each trial is fitted alone, because offsets may differ much. Then all are fitted
-    together, shifted by these offsets. Also returns the joint fit.
+    together, shifted by these offsets. Also returns the best joint fit.
     """
     alone = {}
     fits = []
@@ -223,43 +230,43 @@ def _estimate_separate_offsets(
 
     shifted = shift_observations([trial.observation for trial in trials], alone)
     part = partial_progress(progress, len(trials), len(trials) + 1)
-    joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
-
-    background = effect_responses(joint_fit)
-    posterior = _posterior(joint_fit, background, slopes_by_offset(joint_fit))
+    joint_fits = fits_with_causes(fit_clock(model, shifted, EDGE_S, rng, part))
+    backgrounds = [effect_responses(clock) for clock in joint_fits]
+    posterior = _average_posterior(joint_fits, backgrounds, slopes_by_offset)
     floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
     by_trial = {}
     for name, mean, deviation in zip(
         alone, posterior.mean, posterior.standard_deviation, strict=True
     ):
-        value = alone[name] + joint_fit.offset + mean
-        by_trial[name] = Interval.from_deviation(value, deviation, floor)
-    drift, _ = _estimate_drift(joint_fit, background)
+        by_trial[name] = Interval.from_deviation(alone[name] + mean, deviation, floor)
+    drift, _ = _estimate_drift(joint_fits[0], backgrounds[0])
     table = _profile_table(trials[0], windows[0], profiles[0])
     offset = ClockOffset(by_trial, False, drift, table)
-    return FittedOffset(offset, fits, windows), joint_fit
+    return FittedOffset(offset, fits, windows), joint_fits[0]
 
 
 def _describe_common(
-    clock: ClockFit,
+    likely_fits: Sequence[ClockFit],
     profile: OffsetProfile,
     trials: Sequence[CheckedTrial],
     window: Window,
 ) -> FittedOffset:
-    """Describe the common offset of a fit to all trials within a window."""
-    background = effect_responses(clock)
+    """Describe the common offset of likely fits to all trials, the best first."""
     frame_s = _longest_frame_interval_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    own = _posterior(clock, background, slopes_by_offset(clock))
+    backgrounds = [effect_responses(clock) for clock in likely_fits]
+    own = _average_posterior(likely_fits, backgrounds, slopes_by_offset)
     scatter_s = scatter_of_trials(own)
-    interval, drift = _common_offset(clock, background, window.middle, floor, scatter_s)
+    interval, drift = _common_offset(
+        likely_fits, backgrounds, window.middle, floor, scatter_s
+    )
     estimate = ClockOffset(
         by_trial=dict.fromkeys([trial.name for trial in trials], interval),
         is_common=not trials_differ(own, frame_s),
         drift=drift,
         profile=_profile_table(trials[0], window, profile),
     )
-    return FittedOffset(estimate, [clock], [window])
+    return FittedOffset(estimate, [likely_fits[0]], [window])
 
 
 def _fit_within(
@@ -295,22 +302,28 @@ def _profile_table(
 
 
 def _common_offset(
-    clock: ClockFit, background: ByTrial, added: float, floor: float, scatter_s: float
+    likely_fits: Sequence[ClockFit],
+    backgrounds: Sequence[ByTrial],
+    added: float,
+    floor: float,
+    scatter_s: float,
 ) -> tuple[Interval, Interval | None]:
     """Return the offset that all trials share, and their drift if one is detected.
 
-    added: offset added to the camera's times before the fit [s]. floor: uncertainty of
+    likely_fits: the best first. backgrounds: the response of each fit to other effects.
+    added: offset added to the camera's times before the fits [s]. floor: uncertainty of
     time stamps, added to the half width of the interval [s]. scatter_s: scatter of the
     trials' own offsets.
     """
-    drift, posterior = _estimate_drift(clock, background)
+    best_fit = likely_fits[0]
+    drift, with_drift = _estimate_drift(best_fit, backgrounds[0])
     if drift is None:
-        columns = [slope[None] for slope in time_slopes(clock)]
-        posterior = _posterior(clock, background, columns)
-    value = added + clock.offset + posterior.mean[0]
-    deviation_of_mean_s = scatter_s / np.sqrt(len(clock.data.trials))
+        posterior = _average_posterior(likely_fits, backgrounds, _slopes_by_one_offset)
+    else:
+        posterior = replace(with_drift, mean=with_drift.mean + best_fit.offset)
+    deviation_of_mean_s = scatter_s / np.sqrt(len(best_fit.data.trials))
     deviation_s = np.hypot(posterior.standard_deviation[0], deviation_of_mean_s)
-    return Interval.from_deviation(value, deviation_s, floor), drift
+    return Interval.from_deviation(added + posterior.mean[0], deviation_s, floor), drift
 
 
 def find_wrong_clock(
@@ -388,12 +401,27 @@ def _rival_peak(
     return int(candidates[np.argmax(log_likelihood[candidates])])
 
 
-def _posterior(
-    clock: ClockFit, background: ByTrial, columns: ByTrial
+def _slopes_by_one_offset(clock: ClockFit) -> ByTrial:
+    """Return derivatives by the offset of all trials, (1, 2 n)."""
+    return [slope[None] for slope in time_slopes(clock)]
+
+
+def _average_posterior(
+    likely_fits: Sequence[ClockFit],
+    backgrounds: Sequence[ByTrial],
+    columns: Callable[[ClockFit], ByTrial],
 ) -> BackgroundPosterior:
-    """Compute the posterior of offsets without a prior."""
-    precision = np.full(len(columns[0]), NO_PRIOR)
-    return clock_posterior(clock, background, columns, precision)
+    """Compute the posterior of offsets without a prior, averaged over fits.
+
+    columns: derivatives of a fit's residuals by each of the offsets.
+    """
+    posteriors = []
+    for clock, background in zip(likely_fits, backgrounds, strict=True):
+        by_offset = columns(clock)
+        precision = np.full(len(by_offset[0]), NO_PRIOR)
+        steps = clock_posterior(clock, background, by_offset, precision)
+        posteriors.append(replace(steps, mean=steps.mean + clock.offset))
+    return average_by_evidence(likely_fits, posteriors)
 
 
 def _estimate_drift(

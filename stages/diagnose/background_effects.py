@@ -152,12 +152,21 @@ def posterior_of_steps(
         means.append(step[:count])
         covariances.append(np.linalg.inv(normal)[:count, :count])
 
-    # Moments of a mixture of normal posteriors, one for each scale
     log_weight = np.array(log_evidence) + log_scale_prior()[: len(scales_m)]
+    return mix_normals(np.array(means), np.array(covariances), log_weight)
+
+
+def mix_normals(
+    means: np.ndarray, covariances: np.ndarray, log_weight: np.ndarray
+) -> BackgroundPosterior:
+    """Compute the moments of a mixture of normals (L, P) and (L, P, P).
+
+    log_weight: of each normal, up to a constant, (L,).
+    """
     weight = np.exp(log_weight - logsumexp(log_weight))
-    mean = weight @ np.array(means)
-    spread = np.array(means) - mean
-    within = np.tensordot(weight, np.array(covariances), 1)
+    mean = weight @ means
+    spread = means - mean
+    within = np.tensordot(weight, covariances, 1)
     between = (weight * spread.T) @ spread
     return BackgroundPosterior(mean, within + between)
 

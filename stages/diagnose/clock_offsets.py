@@ -125,14 +125,16 @@ def refit_with_one_offset(
 ) -> ClockFit:
     """Refit one offset to trials under the noise of a fit with separate offsets.
 
-    So the evidence of both can be compared. The better of two fits is returned: one
-    starts from the common fit, one from the other string and an offset [s].
+    The causes are those of that fit, too, so the evidence of both can be compared. The
+    better of two fits is returned: one starts from the common fit, one from the other
+    string and an offset [s].
     """
     trials = []
     for own, shifted in zip(common.data.trials, separate.data.trials, strict=True):
         trials.append(shifted.shift_times(own.times[0] - shifted.times[0]))
     data = replace(separate.data, trials=tuple(trials))
-    hypothesis = common.fit.hypothesis
+    causes = separate.fit.hypothesis.causes
+    hypothesis = replace(common.fit.hypothesis, causes=causes)
     fits = []
     for values in (common.fit.values, {**separate.fit.values, OFFSET: offset}):
         start = hypothesis.model.exponents_of_values(values)

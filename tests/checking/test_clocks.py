@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
-from conftest import ROOT, measured_sample
+from conftest import ROOT, measured_sample, simulated_points
 
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
@@ -27,6 +27,7 @@ from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
 from stringcast.stages.clock import offset
 from stringcast.stages.clock.fit import model_up_to_strips, model_with_offset
+from stringcast.stages.clock.hidden_causes import average_by_evidence
 from stringcast.stages.clock.offset import (
     ClockOffset,
     FittedOffset,
@@ -53,6 +54,7 @@ from stringcast.stages.diagnose.clock_offsets import (
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
+from stringcast.stages.model.effects.tip_mass import TipMass
 
 SAMPLE = ROOT / "data" / "sample"
 MEASURED = ROOT.parent / "shared" / "measured" / "tudelft_cable_fr3"
@@ -302,21 +304,59 @@ def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
     assert scatter_of_trials(wide) == 0.0
 
 
+def fit_of_evidence(log_evidence, **data):
+    """Return a stand-in for a fit of the clock."""
+    fit = SimpleNamespace(log_evidence=log_evidence)
+    return SimpleNamespace(data=SimpleNamespace(**data), fit=fit, offset=0.0)
+
+
 @pytest.mark.parametrize("drift", [None, Interval(0.02, 0.01, 0.03)])
 def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
     drift, monkeypatch
 ):
     """The posterior is exact here; the mean of four trials has half the scatter."""
-    clock = SimpleNamespace(data=SimpleNamespace(trials=range(4)), offset=0.0)
+    fits = [fit_of_evidence(0.0, trials=range(4))]
     exact = BackgroundPosterior(np.zeros(1), np.zeros((1, 1)))
-    monkeypatch.setattr(offset, "time_slopes", lambda clock: [])
-    monkeypatch.setattr(offset, "_posterior", lambda *given: exact)
+    monkeypatch.setattr(offset, "_average_posterior", lambda *given: exact)
     monkeypatch.setattr(offset, "_estimate_drift", lambda *given: (drift, exact))
-    interval, found = offset._common_offset(clock, [], 0.3, 0.001, scatter_s=0.01)
+    interval, found = offset._common_offset(fits, [[]], 0.3, 0.001, scatter_s=0.01)
     assert found is drift
     assert interval.value == pytest.approx(0.3)
     expected_s = 2 * (1.4 * 1.96 * 0.005 + 0.001)
     assert interval.high - interval.low == pytest.approx(expected_s)
+
+
+def test_offsets_of_causes_are_averaged_by_their_evidence():
+    """The variance of a mixture is the mean variance and the variance of means."""
+    early = BackgroundPosterior(np.array([0.01]), np.array([[0.002**2]]))
+    late_one = BackgroundPosterior(np.array([0.02]), np.array([[0.004**2]]))
+    fits = [fit_of_evidence(np.log(3.0)), fit_of_evidence(0.0)]
+    mixed = average_by_evidence(fits, [early, late_one])
+    assert mixed.mean == pytest.approx([0.0125])
+    variance = 0.75 * 0.002**2 + 0.25 * 0.004**2 + 0.75 * 0.25 * 0.01**2
+    assert mixed.covariance == pytest.approx(np.array([[variance]]))
+
+
+def with_heavy_tip(seen, ratio, rng):
+    """Return a trial of a simulated string with a weight; only its tip is seen."""
+    model = plain_model(CHECKED).with_effects(TipMass)
+    observation = late(seen, 0.0).observation
+    trial = prepare_trial(model, observation)
+    values = np.array(model.values({"tip_mass.ratio": ratio}))
+    noise = rng.normal(0.0, 5e-4, (len(trial.s), 2))
+    x, y = (simulated_points(trial, values) + noise).T
+    return replace(observation, points=observation.points.assign(x=x, y=y))
+
+
+def test_a_large_hidden_cause_is_fitted_with_the_offset():
+    """To first order in the weight, the interval would be 17 ms wide."""
+    rng = np.random.default_rng(0)
+    heavy = [with_heavy_tip(seen, 0.2, rng) for seen in TRIALS[:3]]
+    found = estimate_clock_offset(plain_model(CHECKED), heavy, rng)
+    assert found.is_common
+    interval = found.by_trial["t00"]
+    assert interval.low < 0 < interval.high
+    assert interval.high - interval.low < FRAME_S
 
 
 def test_only_a_wrong_clock_is_refused():
