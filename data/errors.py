@@ -22,8 +22,17 @@ REMEDIES = {
 class ExpectedError(Exception):
     """An error that the user can correct.
 
-    The message names the place, the fault and the remedy.
+    The message has the form `place: fault. Remedy.` The place is a file or an option.
+
+    Attributes
+    ----------
+    field
+        Column, key, line or option at fault; empty if it is none or unknown.
     """
+
+    def __init__(self, message: str, field: str = "") -> None:
+        super().__init__(message)
+        self.field = field
 
 
 def remedy_for(error: BaseException) -> str:

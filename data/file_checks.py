@@ -163,11 +163,12 @@ def _read_mapping(
             f"{path}: it is not text in UTF-8 ({error}). Save it as UTF-8."
         ) from error
     except (yaml.YAMLError, ValueError, OSError) as error:
-        where = " ".join(str(error).split())
+        reason, line = " ".join(str(error).split()), ""
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark:
-            where = f"line {error.problem_mark.line + 1}: {error.problem}"
+            line = f"line {error.problem_mark.line + 1}"
+            reason = f"{line}: {error.problem}"
         raise DataError(
-            f"{path}: {fault} ({where}). Correct it there, or restore it."
+            f"{path}: {fault} ({reason}). Correct it there, or restore it.", line
         ) from error
     except RecursionError as error:
         raise DataError(
@@ -400,7 +401,9 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
     for column in schema:
         name, kind = column.name, column.type
         if schema.names.count(name) > 1:
-            raise DataError(f"{path}: it has the column '{name}' twice. Leave one out.")
+            raise DataError(
+                f"{path}: it has the column '{name}' twice. Leave one out.", field=name
+            )
         if not pa.types.is_nested(kind):
             names.append(name)
             if pa.types.is_string(kind) or pa.types.is_binary(kind):
@@ -408,6 +411,7 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
         elif name in needed:
             raise DataError(
                 f"{path}: column '{name}' holds {kind}, not a value a row. "
-                "Store plain columns."
+                "Store plain columns.",
+                field=name,
             )
     return names, texts

@@ -211,9 +211,11 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     try:
         Metadata.model_validate(content)
     except ValidationError as error:
+        key, fault = _first_fault(error)
         raise DataError(
-            f"{path}: {_first_fault(error)}. "
-            "Correct it; all is in metres, seconds and radians."
+            f"{path}: {key} {fault}. "
+            "Correct it; all is in metres, seconds and radians.",
+            field=key,
         ) from error
     if "trials" in content:
         trials = content["trials"].items()
@@ -221,15 +223,15 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     return content
 
 
-def _first_fault(error: ValidationError) -> str:
-    """Describe the first fault: its key, value and requirement."""
+def _first_fault(error: ValidationError) -> tuple[str, str]:
+    """Return the key of the first fault, and its value and requirement in words."""
     fault = error.errors()[0]
     key = ".".join(str(part) for part in fault["loc"] if part != "[key]")
     if fault["type"] == "missing":
-        return f"{key} is missing"
+        return key, "is missing"
     message = fault["msg"][:1].lower() + fault["msg"][1:]
     must = FAULT_WORDS.get(fault["type"], message).format(**fault.get("ctx", {}))
     value = repr(fault["input"])
     if len(value) > MAX_VALUE_CHARACTERS:
         value = f"{value[:MAX_VALUE_CHARACTERS]}..."
-    return f"{key} is {value}; {must}"
+    return key, f"is {value}; {must}"

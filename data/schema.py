@@ -111,12 +111,14 @@ class Table:
             if column.name in frame:
                 typed[column.name] = _cast(column, frame[column.name], source)
             elif not column.optional:
-                missing.append(repr(column.name))
+                missing.append(column.name)
         if missing:
             names = ", ".join(map(str, frame.columns)) or "none"
             raise DataError(
-                f"{source}: table '{self.name}' has no column {', '.join(missing)}; it "
-                f"has {names}. Add the column or rename yours to it."
+                f"{source}: table '{self.name}' has no column "
+                f"{', '.join(map(repr, missing))}; it has {names}. Add the column or "
+                "rename yours to it.",
+                field=", ".join(missing),
             )
         for name in frame.columns:
             if name not in typed:
@@ -157,5 +159,6 @@ def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
         wrong = values[is_text].iloc[0] if is_text.any() else values.iloc[0]
         raise DataError(
             f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
-            f"found {wrong!r} ({error}). Correct the value or remove the row."
+            f"found {wrong!r} ({error}). Correct the value or remove the row.",
+            field=column.name,
         ) from error

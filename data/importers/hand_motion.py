@@ -120,7 +120,8 @@ def _refuse_joint_of_other_unit(
         "which no joint does, and the other joints do not. If it holds the counts "
         f"of an encoder, {COUNTS_PER_TURN} a turn, multiply it by "
         f"{360 / COUNTS_PER_TURN:.6g}; if it is no joint, name those that are: "
-        "--map q1=<column>."
+        "--map q1=<column>.",
+        field=name,
     )
 
 

@@ -164,7 +164,8 @@ class RecordingReader:
         if not np.isfinite(values).any():
             raise DataError(
                 f"{self.recording.file}: column '{column.name}' holds no number. "
-                f"Correct it, or name another with --map {role}=<column>."
+                f"Correct it, or name another with --map {role}=<column>.",
+                field=column.name,
             )
         self.note_use(column, role, unit, how, values)
         return values
@@ -188,7 +189,8 @@ class RecordingReader:
         if count > 0:
             raise DataError(
                 f"{self.recording.file}: {count} of {len(names)} rows name no {role} "
-                f"in column '{column.name}'. Name it there, or take the rows out."
+                f"in column '{column.name}'. Name it there, or take the rows out.",
+                field=column.name,
             )
         self.used_columns.append(
             UsedColumn(self.recording.file, column.name, role, "", column.how)

@@ -44,7 +44,8 @@ def _refuse_single_coordinate(reader: RecordingReader, column: SourceColumn) -> 
         f"the point '{point}'; its {other} is missing. There are "
         f"{list_columns(reader.recording)}. Add the column, or name the columns of "
         f"the points that count: --map {point}.x=<column> "
-        f"--map {point}.y=<column>."
+        f"--map {point}.y=<column>.",
+        field=column.name,
     )
 
 

@@ -115,7 +115,8 @@ def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> No
                 f"{reader.recording.file}: column '{column.name}'{words} goes back "
                 f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} in row {row + 1}, "
                 "to times that were already recorded: two recordings seem to be in "
-                "one. Give each a file of its own, or a column 'trial'."
+                "one. Give each a file of its own, or a column 'trial'.",
+                field=column.name,
             )
 
 
@@ -181,7 +182,8 @@ def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
         raise DataError(
             f"{reader.recording.file}: column '{column.name}' holds neither numbers "
             "nor dates such as 2026-01-31 12:00:00.005; it holds "
-            f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>."
+            f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>.",
+            field=column.name,
         )
     elapsed = dates - pd.Timestamp(0, tz="UTC")
     seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
@@ -204,7 +206,8 @@ def _refuse_slow_clock(
     raise DataError(
         f"{reader.recording.file}: column '{column.name}' holds times in {unit} by "
         f"its name, but its rows are {step:.4g} {unit} apart, which shows no "
-        f"motion. If they are in {likely}, call the column {renamed}."
+        f"motion. If they are in {likely}, call the column {renamed}.",
+        field=column.name,
     )
 
 

@@ -58,7 +58,7 @@ def link_errors() -> tuple[type[Exception], ...]:
     """Return the error types of a pulled cable."""
     errors: tuple[type[Exception], ...] = (serial.SerialException, OSError)
     try:
-        import termios  # noqa: PLC0415
+        import termios
     except ImportError:  # Windows
         return errors
     return (*errors, termios.error)

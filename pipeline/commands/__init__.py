@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import re
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from keyword import iskeyword
@@ -40,7 +41,9 @@ class CommandParser(argparse.ArgumentParser):
         plain = message.removeprefix("the following ")
         plain = plain.replace("arguments are required", "it needs")
         command = self.prog.split()[-1]
-        raise UserError(f"{command}: {plain}. Try: {self.prog} --help")
+        option = re.search(r"--[a-z][\w-]*", message)
+        field = option[0] if option else ""
+        raise UserError(f"{command}: {plain}. Try: {self.prog} --help", field)
 
 
 def add_cost_option(parser: CommandParser) -> None:

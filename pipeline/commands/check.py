@@ -7,18 +7,14 @@ import json
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from importlib import import_module
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from rich.markup import escape
-from rich.table import Table
 
 from stringcast.data import dataset
 from stringcast.data.errors import ExpectedError
@@ -38,12 +34,13 @@ from stringcast.pipeline.settings.settings_from_runs import (
     is_run_folder,
 )
 from stringcast.pipeline.settings.typed_settings import build_dataclass
-from stringcast.stages.check.finding import Finding, note
+from stringcast.stages.check.finding import Finding, error
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.check.overview import (
     DETECTION_NOTE,
     dataset_overview,
-    detection_limit_text,
+    effect_table,
+    trial_table,
 )
 from stringcast.stages.clock.windows import HARMLESS_OFFSET_S, largest_possible_offset
 from stringcast.stages.model.arm import Arm
@@ -51,13 +48,9 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.report.formatting import format_count
 
 USABLE, NOT_USABLE = 0, 1  # exit statuses
-SHORT_TRIAL_S = 2.0  # up to this duration a diagnosis follows all motion of a string
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
-# field in a message: setting, column or line of YAML
-FIELD_PATTERN = re.compile(
-    r"([a-z_]+(?:\.[\w]+)+) is |.*column '([^']*)'|not valid YAML \((line \d+)"
-)
-OPTION_PATTERN = re.compile(r"--[a-z][\w-]*")  # the first option in a message
+# a sentence up to its full stop, which is not inside brackets
+SENTENCE = re.compile(r"(?:\([^()]*\)|[^()])*?(?=\.(?: [A-Z]|$))")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -67,24 +60,27 @@ def main(arguments: Sequence[str]) -> int:
         report: Path | None = options.report
         if report is not None and report.suffix != ".html":
             raise UserError(f"--report {report}: it must end in .html. Change it.")
-    except UserError as error:
-        return report_wrong_options(error, arguments)
+    except UserError as wrong:
+        return report_wrong_options(wrong, arguments)
     try:
         name_plugins(options.settings)
         checked = read_measurements(options.folder, options.settings)
         overview = overview_with_clocks(checked)
         if options.effects and overview["usable"]:
             # takes seconds to import
-            effects = import_module("stringcast.pipeline.commands.check_effects")
+            from stringcast.pipeline.commands.check_effects import detectable_effects
+
             settings = settings_for_data(
                 options.folder, options.settings, "+experiment=diagnose"
             )
-            limits, not_tried = effects.detectable_effects(settings)
+            limits, not_tried = detectable_effects(settings)
             overview |= {"effects": limits, "effects_not_tried": not_tried}
         if report is not None:
             write_text(report, check_report(checked, overview))
-    except (ExpectedError, HydraException, OmegaConfBaseException) as error:
-        overview = overview_of_unreadable(options.folder, str(error))
+    except (ExpectedError, HydraException, OmegaConfBaseException) as fault:
+        field = getattr(fault, "field", "")
+        finding = finding_of_error(str(fault), field)
+        overview = overview_of_unreadable(options.folder, finding)
 
     if options.json:
         print(json.dumps(overview, indent=2))
@@ -142,8 +138,6 @@ def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
     geometry allows a large one.
     """
     overview = dataset_overview(checked)
-    notes = [asdict(found) for found in long_trial_notes(checked)]
-    overview |= {"findings": [*overview["findings"], *notes]}
     trials = list(checked.informative_trials())
     states_clock = "clock" in checked.data.metadata
     if not overview["usable"] or states_clock or is_run_folder(checked.data.folder):
@@ -151,35 +145,13 @@ def overview_with_clocks(checked: CheckedDataset) -> dict[str, Any]:
     if largest_possible_offset(trials) < HARMLESS_OFFSET_S:
         return overview
     # takes seconds to import
-    clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
-    findings = [asdict(found) for found in clock_fit.wrong_clock_findings(checked)]
+    from stringcast.pipeline.commands.clock_fit import wrong_clock_findings
+
+    findings = [asdict(found) for found in wrong_clock_findings(checked)]
     return overview | {
         "usable": not findings,
         "findings": [*findings, *overview["findings"]],
     }
-
-
-def long_trial_notes(checked: CheckedDataset) -> list[Finding]:
-    """Return a note about trials in which a diagnosis does not follow fast misfit."""
-    long_trials = []
-    for trial in checked.trials:
-        if len(trial.frame_t) > 1 and np.ptp(trial.frame_t) > SHORT_TRIAL_S:
-            long_trials.append(trial)
-    if not long_trials:
-        return []
-    # takes a part of a second to import
-    basis = import_module("stringcast.stages.inference.basis")
-    times = max((trial.frame_t for trial in long_trials), key=np.ptp)
-    frequency = basis.highest_frequency(times)
-    if frequency > basis.LOW_FREQUENCY_HZ:
-        return []
-    statement = (
-        f"up to {np.ptp(times):.1f} s long: a diagnosis follows misfit there up to "
-        f"{frequency:.0f} Hz"
-    )
-    remedy = "Split it into trials of 2 s to see faster misfit"
-    names = [trial.name for trial in long_trials]
-    return [note(checked.points_file, "t", statement, remedy, *names)]
 
 
 def settings_for_data(
@@ -193,7 +165,8 @@ def settings_for_data(
 def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
     """Return the findings as an HTML page with pictures."""
     # takes a second to import
-    check_page = import_module("stringcast.stages.report.pages.check").check_page
+    from stringcast.stages.report.pages.check import check_page
+
     next_steps = []
     if overview["usable"]:
         question = "What does the simulation get wrong in these trials, and why?"
@@ -201,50 +174,38 @@ def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
         arguments = f"+experiment=diagnose trials={folder}"
         next_steps.append((question, f"{program_name()} {arguments}"))
     origin = {"code": code_state(), "files": dict(checked.data.hashes)}
-    text: str = check_page(checked, overview, origin, next_steps)
-    return text
+    return check_page(checked, overview, origin, next_steps)
 
 
-def overview_of_unreadable(folder: Path, message: str) -> dict[str, Any]:
-    """Return the overview of data that cannot be read.
+def finding_of_error(message: str, field: str) -> Finding:
+    """Return the finding of an `ExpectedError` by its message and field."""
+    place, _, rest = message.partition(": ")
+    sentence = SENTENCE.match(rest)
+    statement = sentence[0] if sentence else rest
+    remedy = rest[len(statement) :].strip(". ")
+    if place.startswith("--"):
+        place, field = "", place
+    return error(place, field, statement, remedy)
 
-    Messages of errors have the form `file: fault of field. Remedy.`
-    """
-    file, _, rest = message.partition(": ")
-    end = len(rest)
-    for stop in re.finditer(r"\. (?=[A-Z])", rest):
-        before = rest[: stop.start()]
-        if before.count("(") == before.count(")"):  # not inside brackets
-            end = stop.start()
-            break
-    statement = rest[:end].removesuffix(".")
-    match = FIELD_PATTERN.match(statement)
-    finding: dict[str, Any] = {
-        "severity": "error",
-        "file": file,
-        "field": match[match.lastindex or 0] if match else "",
-        "statement": statement,
-        "remedy": rest[end + 2 :].removesuffix("."),
-        "trials": [],
-    }
+
+def overview_of_unreadable(folder: Path, finding: Finding) -> dict[str, Any]:
+    """Return the overview of data that cannot be read, with the only finding."""
     return {
         "format": 1,
         "folder": str(folder),
         "usable": False,
         "trials": [],
         "rejected": {},
-        "findings": [finding],
+        "findings": [asdict(finding)],
     }
 
 
-def report_wrong_options(error: UserError, arguments: Sequence[str]) -> int:
+def report_wrong_options(wrong: UserError, arguments: Sequence[str]) -> int:
     """Print an error in options as JSON if requested; otherwise raise it."""
     if "--json" not in arguments:
-        raise error
-    overview = overview_of_unreadable(Path(), f": {error}") | {"folder": ""}
-    (finding,) = overview["findings"]
-    option = OPTION_PATTERN.search(finding["statement"])
-    finding["field"] = option[0] if option else ""
+        raise wrong
+    finding = replace(finding_of_error(str(wrong), wrong.field), file="")
+    overview = overview_of_unreadable(Path(), finding) | {"folder": ""}
     print(json.dumps(overview, indent=2))
     return NOT_USABLE
 
@@ -256,15 +217,18 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
         length = overview["string_length_m"]
         heading = f"{overview['folder']}: a string of {length:.3f} m"
         console.print(heading, soft_wrap=True, markup=False)
-        console.print(trial_table(trials))
+        table = trial_table(trials)
+        numbers = table.columns.drop(["trial", "begins"])
+        console.print(text_table(table, right=numbers))
     for finding in findings:
         severity = finding["severity"]
         label = f"[{SEVERITY_COLOURS[severity]}]{severity}[/]"
         sentence = escape(with_program_name(Finding(**finding).sentence))
         console.print(f"{label} {sentence}", highlight=False, soft_wrap=True)
     if overview.get("effects"):
-        table = effect_table(overview["effects"])
-        console.print(table, DETECTION_NOTE, highlight=False)
+        table = effect_table(overview["effects"]).drop(columns="meaning")
+        numbers = table.columns.drop(["effect", "mistaken for"])
+        console.print(text_table(table, right=numbers), DETECTION_NOTE, highlight=False)
         for name, reason in overview["effects_not_tried"].items():
             console.print(f"Not tried: {name} ({reason}).", highlight=False)
 
@@ -280,43 +244,3 @@ def print_overview(overview: Mapping[str, Any], console: Terminal) -> None:
             f"[bold green]Usable[/]: {format_count(len(trials), 'trial')}; {counted}."
         )
     console.print(conclusion, soft_wrap=True)
-
-
-def trial_table(trials: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table with a row for each usable trial."""
-    rows = []
-    for trial in trials:
-        row = {
-            "trial": trial["trial"],
-            "camera [s]": f"{trial['duration']:.2f}",
-            "with arm [s]": f"{trial['common']:.2f}",
-            "frames": trial["frames"],
-            "frames per s": format_number(trial["fps"], 1, 0),
-            "arm rows per s": format_number(trial["hand_rate"], 1, 0),
-            "points": format_number(trial["points"], 1, 0),
-            "noise [mm]": format_number(trial["noise"], 1e3, 2),
-            "hand path [m]": f"{trial['path']:.2f}",
-            "begins": trial["begins"],
-        }
-        rows.append(row)
-    return text_table(pd.DataFrame(rows), right={*rows[0]} - {"trial", "begins"})
-
-
-def effect_table(effects: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table with a row for each size parameter of an effect."""
-    rows = []
-    for effect in effects:
-        row = {
-            "effect": f"{effect['effect']}.{effect['parameter']}",
-            "detectable from": detection_limit_text(effect),
-            "tip [mm]": format_number(effect["tip_m"], 1e3, 1),
-            "imitated by string": f"{effect['imitated']:.0%}",
-            "mistaken for": ", ".join(effect["alike"]) or "-",
-        }
-        rows.append(row)
-    return text_table(pd.DataFrame(rows), right={*rows[0]} - {"effect", "mistaken for"})
-
-
-def format_number(value: float | None, factor: float, digits: int) -> str:
-    """Return a number times a factor, or a dash if it is unknown."""
-    return "-" if value is None else f"{value * factor:.{digits}f}"

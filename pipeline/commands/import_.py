@@ -7,7 +7,6 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from math import degrees, isnan
 from os.path import commonprefix
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 import pandas as pd
 from rich.table import Table
 
+from stringcast.data.errors import ExpectedError
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import ImportedTables, gather_tables
@@ -42,6 +42,7 @@ from stringcast.pipeline.commands.import_options import (
     read_column_hints,
 )
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.stages.check.finding import Finding, error
 from stringcast.stages.check.measured import CheckedDataset
 
 # units of points, hand and angles, direction, clock and zero rows
@@ -72,8 +73,8 @@ def main(arguments: Sequence[str]) -> int:
     """Read, show and write the data; return 0 if a usable folder was written."""
     try:
         options = argument_parser(__doc__).parse_args(arguments)
-    except UserError as error:
-        return check.report_wrong_options(error, arguments)
+    except UserError as wrong:
+        return check.report_wrong_options(wrong, arguments)
     options.files = expand_patterns(options.files)
     console = Terminal(quiet=options.json)
     if not options.json:
@@ -81,38 +82,26 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     try:
         overview = import_files(options, console)
-    except NotUsableError as error:
-        overview = error.overview
-    except (DataError, UserError) as error:
-        overview = overview_of_refusal(options, error)
+    except NotUsableError as unusable:
+        overview = unusable.overview
+    except ExpectedError as refusal:
+        finding = finding_of_refusal(options.files, refusal)
+        overview = check.overview_of_unreadable(options.to, finding)
     print(json.dumps(overview, indent=2))
     return 0 if overview["usable"] else 1
 
 
-def overview_of_refusal(
-    options: argparse.Namespace, error: Exception
-) -> dict[str, Any]:
-    """Return the overview of refused files, in the form of `check --json`."""
-    message = str(error)
+def finding_of_refusal(files: Sequence[Path], refusal: ExpectedError) -> Finding:
+    """Return the finding of refused files."""
+    if isinstance(refusal, UnconfirmedChangeError):
+        change = refusal.change
+        return error(change.file, change.field, change.reason, refusal.command)
+    message = str(refusal)
     place = message.partition(": ")[0]
-    known = {str(file) for file in options.files} | {f.name for f in options.files}
-    is_option = place.startswith("--")
-    names_file = place.split(", ")[0] in known
-    if not (is_option or names_file):
+    known = {str(file) for file in files} | {file.name for file in files}
+    if not place.startswith("--") and place.split(", ")[0] not in known:
         message = f": {message}"
-    overview = check.overview_of_unreadable(options.to, message)
-    (finding,) = overview["findings"]
-    if is_option:
-        finding |= {"file": "", "field": place}
-    if isinstance(error, UnconfirmedChangeError):
-        change = error.change
-        finding |= {
-            "file": change.file,
-            "field": change.field,
-            "statement": change.reason,
-            "remedy": error.command,
-        }
-    return overview
+    return check.finding_of_error(message, refusal.field)
 
 
 def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, Any]:
@@ -221,9 +210,10 @@ def fit_clocks(
     Returns the aligned dataset and measurements, and the profile of the offset.
     """
     # takes seconds to import
-    clock_fit = import_module("stringcast.pipeline.commands.clock_fit")
-    clock = clock_fit.estimate_offset(checked)
-    fitted: ImportedDataset = clock_fit.apply_offset(imported, clock)
+    from stringcast.pipeline.commands.clock_fit import apply_offset, estimate_offset
+
+    clock = estimate_offset(checked)
+    fitted = apply_offset(imported, clock)
     first = next(iter(clock.by_trial.values()))
     profile = clock.profile.assign(
         offset=clock.profile["offset"] - first.value,
@@ -341,11 +331,12 @@ def draw_first_trial(
     profile: of the clock offset, if it was fitted.
     """
     # takes a second to import
-    charts = import_module("stringcast.stages.report.charts.trial")
+    from stringcast.stages.report.charts.trial import trial_figure
+
     trial = next(checked.with_points(), None)
     if trial is None:
         return None
     path = folder.with_name(f"{folder.name}.png")
     with write_atomically(path) as part:
-        charts.trial_figure(trial, profile).savefig(part, format="png", dpi=110)
+        trial_figure(trial, profile).savefig(part, format="png", dpi=110)
     return path

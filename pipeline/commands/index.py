@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +102,8 @@ def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
         store.write_table(RUNS_TABLE, runs, to, {"step": "index"} | software_versions())
     elif to.suffix == ".html":
         # takes a second to import
-        index_page = import_module("stringcast.stages.report.pages.index").index_page
+        from stringcast.stages.report.pages.index import index_page
+
         links = []
         for run in runs["run"]:
             page = folder / run / "report.html"

@@ -53,6 +53,7 @@ CHECKS: tuple[Check, ...] = (
     contents.check_rows,
     clocks.check_clock_start,
     clocks.check_gaps,
+    clocks.check_bandwidth,
     frames.check_dropped_frames,
     frames.check_camera_view,
 )

@@ -9,6 +9,7 @@ import numpy as np
 from stringcast.stages.check.finding import Finding, error, note, warning
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
 from stringcast.stages.common import NORMAL_95
+from stringcast.stages.inference.basis import LOW_FREQUENCY_HZ, highest_frequency
 
 MAX_INTERVAL_S = 0.5  # between samples that show the motion of a string
 MIN_SAMPLES_FOR_UNIT = 10
@@ -94,6 +95,22 @@ def check_duration(dataset: CheckedDataset) -> Iterator[Finding]:
                 )
                 remedy = "Correct the time that is wrong, or split the trial"
                 yield error(file, "t", statement, remedy, trial.name)
+
+
+def check_bandwidth(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Report trials so long that a diagnosis does not follow fast misfit."""
+    for trial in dataset.trials:
+        duration = float(np.ptp(trial.frame_t)) if len(trial.frame_t) else 0.0
+        if duration == 0:
+            continue
+        frequency = highest_frequency(trial.frame_t)
+        if frequency <= LOW_FREQUENCY_HZ:
+            statement = (
+                f"it is {duration:.1f} s long: a diagnosis follows misfit there up to "
+                f"{frequency:.0f} Hz"
+            )
+            remedy = "Split it into trials of 2 s to see faster misfit"
+            yield note(dataset.points_file, "t", statement, remedy, trial.name)
 
 
 def check_clock_start(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from stringcast.data.dataset import exclude_stray_points
 from stringcast.stages.check.check import collect_findings
@@ -96,6 +97,47 @@ def detection_limit_text(limit: Mapping[str, Any]) -> str:
     if limit["absent"]:
         return f"{limit['absent'] * factor:.4g} {unit} to {size:.4g} {unit}"
     return f"{size:.2g} {unit}"
+
+
+def trial_table(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Tabulate the rows of `overview_rows` as texts for people."""
+    table = []
+    for row in rows:
+        texts = {
+            "trial": row["trial"],
+            "camera [s]": f"{row['duration']:.2f}",
+            "with arm [s]": f"{row['common']:.2f}",
+            "frames": str(row["frames"]),
+            "frames per s": format_known(row["fps"], 1, 0),
+            "arm rows per s": format_known(row["hand_rate"], 1, 0),
+            "points": format_known(row["points"], 1, 0),
+            "noise [mm]": format_known(row["noise"], 1e3, 2),
+            "hand path [m]": f"{row['path']:.2f}",
+            "begins": row["begins"],
+        }
+        table.append(texts)
+    return pd.DataFrame(table)
+
+
+def effect_table(limits: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """Tabulate `effects` of the output of `check --effects` as texts for people."""
+    table = []
+    for limit in limits:
+        texts = {
+            "effect": f"{limit['effect']}.{limit['parameter']}",
+            "meaning": limit["meaning"],
+            "detectable from": detection_limit_text(limit),
+            "tip [mm]": format_known(limit["tip_m"], 1e3, 1),
+            "imitated by string": f"{limit['imitated']:.0%}",
+            "mistaken for": ", ".join(limit["alike"]) or "-",
+        }
+        table.append(texts)
+    return pd.DataFrame(table)
+
+
+def format_known(value: float | None, factor: float, digits: int) -> str:
+    """Return a number times a factor, or a dash if it is unknown."""
+    return "-" if value is None else f"{value * factor:.{digits}f}"
 
 
 def dataset_overview(dataset: CheckedDataset) -> dict[str, Any]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import pandas as pd
+
 from stringcast.stages.check.measured import CheckedDataset
-from stringcast.stages.check.overview import DETECTION_NOTE, detection_limit_text
+from stringcast.stages.check.overview import (
+    DETECTION_NOTE,
+    effect_table,
+    trial_table,
+)
 from stringcast.stages.report.charts.trial import describe_trial, trial_figure
 from stringcast.stages.report.formatting import format_count, format_mm
 from stringcast.stages.report.page import Page
@@ -20,7 +26,6 @@ from stringcast.stages.report.parts import (
     Text,
     Tiles,
     number_cell,
-    number_cells,
     table_card,
 )
 from stringcast.stages.report.theme import svg_picture
@@ -59,13 +64,15 @@ def check_page(
         (format_mm(measured.length), "length of the string, from the grasp to the tip"),
         (str(len(findings)), f"findings, of which {errors}"),
     ]
+    trials_seen = trial_table(found["trials"])
     sections: list[Part] = [
         Tiles(tiles),
         Section("Findings", [_findings_card(findings)]),
-        Section("Trials", [_trials_card(found["trials"])]),
+        Section("Trials", [_numbers_card(trials_seen, {"trial", "begins"})]),
     ]
     if effects := found.get("effects"):
-        parts = [Text(DETECTION_NOTE), _effects_card(effects)]
+        names = {"effect", "meaning", "mistaken for"}
+        parts = [Text(DETECTION_NOTE), _numbers_card(effect_table(effects), names)]
         sections.append(Section("Detectable effects", parts))
     trials = list(measured.with_points())
     figures = []
@@ -107,46 +114,12 @@ def _findings_card(findings: Sequence[Mapping[str, Any]]) -> Part:
     return table_card(columns, rows)
 
 
-def _effects_card(effects: Sequence[Mapping[str, Any]]) -> Card:
-    """List the smallest size at which these trials would show each effect."""
-    columns = ["effect", "meaning", "detectable from", "shift of the tip [mm]"]
-    columns += ["imitated by the string [%]", "mistaken for"]
+def _numbers_card(table: pd.DataFrame, words: Collection[str]) -> Card:
+    """Show a table of texts; columns other than `words` hold numbers."""
     rows = []
-    for effect in effects:
-        tip = "" if effect["tip_m"] is None else f"{1e3 * effect['tip_m']:.1f}"
-        rows.append(
-            [
-                Cell(f"{effect['effect']}.{effect['parameter']}", "code"),
-                effect["meaning"],
-                number_cell(detection_limit_text(effect)),
-                number_cell(tip),
-                number_cell(f"{100 * effect['imitated']:.0f}"),
-                ", ".join(effect["alike"]),
-            ]
-        )
-    return table_card(columns, rows)
-
-
-TRIAL_COLUMNS = {
-    "filmed [s]": ("duration", ".2f"),
-    "filmed with arm [s]": ("common", ".2f"),
-    "frames": ("frames", "d"),
-    "frames [1/s]": ("fps", ".0f"),
-    "arm [1/s]": ("hand_rate", ".0f"),
-    "points a frame": ("points", ".0f"),
-    "noise [mm]": ("noise_mm", ".2f"),
-    "hand path [m]": ("path", ".2f"),
-}
-
-
-def _trials_card(trials: Sequence[Mapping[str, Any]]) -> Card:
-    """List the readable trials."""
-    rows = []
-    for trial in trials:
-        noise = trial["noise"]
-        values = {**trial, "noise_mm": None if noise is None else 1e3 * noise}
-        texts = []
-        for name, spec in TRIAL_COLUMNS.values():
-            texts.append("" if values[name] is None else format(values[name], spec))
-        rows.append([trial["trial"], *number_cells(texts), trial["begins"]])
-    return table_card(["trial", *TRIAL_COLUMNS, "start"], rows)
+    for row in table.to_dict("records"):
+        cells = []
+        for name, text in row.items():
+            cells.append(text if name in words else number_cell(text))
+        rows.append(cells)
+    return table_card(list(table), rows)
