@@ -36,7 +36,13 @@ from stringcast.data.metadata import DATASET_FILE, FORMAT_VERSION, read_metadata
 from stringcast.data.rows import RowCounts
 from stringcast.data.schema import DataError, Table
 from stringcast.data.store import content_hash, write_table, write_text
-from stringcast.data.table_files import RUN_TABLES, find_table, read_rows, with_trial
+from stringcast.data.table_files import (
+    RUN_TABLES,
+    TableRows,
+    find_table,
+    read_rows,
+    with_trial,
+)
 from stringcast.data.trial_faults import TrialFault, find_fault, find_timeless_fault
 
 # string lengths; points farther along belong to another string
@@ -152,9 +158,9 @@ def read_dataset(folder: Path) -> Dataset:
         )
     # tables of all trials
     metadata = read_metadata(folder)
-    row_counts: dict[str, RowCounts] = {}
-    footage = _read_footage(folder, metadata, row_counts)
-    hand, tables = _read_tables(folder, metadata, row_counts, filmed=bool(footage))
+    footage, frame_counts = _read_footage(folder, metadata)
+    hand, tables, counts = _read_tables(folder, metadata, is_filmed=bool(footage))
+    row_counts = {**frame_counts, **counts}
     # each trial, with its own start of time, and its faults
     by_trial = [_split_by_trial(table) for table in tables]
     trials = {}
@@ -218,29 +224,28 @@ class MeasuredTables(NamedTuple):
 
 
 def _read_tables(
-    folder: Path,
-    metadata: Mapping[str, Any],
-    row_counts: dict[str, RowCounts],
-    filmed: bool,
-) -> tuple[Table, MeasuredTables]:
-    """Read the tables of all trials, and the schema ARM or GRASP of the hand.
+    folder: Path, metadata: Mapping[str, Any], is_filmed: bool
+) -> tuple[Table, MeasuredTables, dict[str, RowCounts]]:
+    """Read the tables of all trials.
 
-    Points may be missing if frames were filmed.
+    Points may be missing if frames were filmed. Returns the schema ARM or GRASP of the
+    hand, the tables, and the counts of their rows by file.
     """
     hand = ARM if find_table(folder, ARM.name) else GRASP
-    motion = read_rows(hand, folder, row_counts)
     frames = []
-    for table in (POINTS, READINGS, MASKS):
-        is_needed = table is POINTS and not filmed
+    counts: dict[str, RowCounts] = {}
+    for table in (hand, POINTS, READINGS, MASKS):
+        is_needed = table is hand or (table is POINTS and not is_filmed)
+        rows = TableRows(with_trial(table).empty())
         if is_needed or find_table(folder, table.name) is not None:
-            frames.append(read_rows(table, folder, row_counts))
-        else:
-            frames.append(with_trial(table).empty())
-    points, readings, masks = frames
+            rows = read_rows(table, folder)
+        frames.append(rows.frame)
+        counts |= rows.counts
+    motion, points, readings, masks = frames
     sigma = (metadata.get("noise") or {}).get("point_sigma")
     if sigma is not None and "sigma" not in points:
         points = points.assign(sigma=float(sigma))
-    return hand, MeasuredTables(motion, points, readings, masks)
+    return hand, MeasuredTables(motion, points, readings, masks), counts
 
 
 def _build_trial(
@@ -274,9 +279,9 @@ def _build_trial(
 
 
 def _read_footage(
-    folder: Path, metadata: Mapping[str, Any], row_counts: dict[str, RowCounts]
-) -> dict[str, TimedImages]:
-    """Read times and images of each trial that has any.
+    folder: Path, metadata: Mapping[str, Any]
+) -> tuple[dict[str, TimedImages], Mapping[str, RowCounts]]:
+    """Read times and images of each trial that has any, and counts of their rows.
 
     Raises DataError if points must be extracted and the camera is not described.
     """
@@ -294,8 +299,10 @@ def _read_footage(
             "played slower), px_per_m, and the pixel of the origin."
         )
     footage: dict[str, TimedImages] = {}
+    counts: Mapping[str, RowCounts] = {}
     if has_frames:
-        for name, rows in read_rows(FRAMES, folder, row_counts).groupby("trial"):
+        frames, counts = read_rows(FRAMES, folder)
+        for name, rows in frames.groupby("trial"):
             images = ImageFiles(folder, tuple(rows["file"]))
             footage[str(name)] = rows["t"].to_numpy(), images
     elif "fps" in camera:
@@ -303,7 +310,7 @@ def _read_footage(
             video = Video(path)
             # frame rate of filming, not of playback
             footage[path.stem] = video.frame_times(float(camera["fps"])), video
-    return footage
+    return footage, counts
 
 
 def _split_by_trial(frame: pd.DataFrame) -> defaultdict[str, pd.DataFrame]:

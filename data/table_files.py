@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -39,13 +40,18 @@ def find_table(folder: Path, name: str) -> Path | None:
     return None
 
 
-def read_rows(
-    table: Table, folder: Path, row_counts: dict[str, RowCounts]
-) -> pd.DataFrame:
-    """Read the usable rows of one table in the order of time.
+class TableRows(NamedTuple):
+    """The usable rows of one table, in the order of time.
 
-    Store the counts of dropped rows in `row_counts`.
+    counts: of all rows of its file, by the file's name; empty if none are dropped.
     """
+
+    frame: pd.DataFrame
+    counts: Mapping[str, RowCounts] = {}
+
+
+def read_rows(table: Table, folder: Path) -> TableRows:
+    """Read the usable rows of one table; raise DataError if it is missing."""
     path = find_table(folder, table.name)
     if path is None:
         alternative = {
@@ -62,7 +68,7 @@ def read_rows(
     _refuse_odd_trials(frame["trial"].unique(), path)
     if table in (READINGS, MASKS):  # their NaN are valid
         frame = frame.sort_values(["trial", "t"], kind="stable")
-        return frame.reset_index(drop=True)
+        return TableRows(frame.reset_index(drop=True))
     if table is FRAMES:
         frame = frame.assign(file=_frame_files(frame["file"], folder, path))
         if DIGEST_COLUMN in frame:  # trials whose frames were not kept have no film
@@ -70,9 +76,9 @@ def read_rows(
             is_kept = (count > 0) | frame[DIGEST_COLUMN].isna()
             frame = frame[is_kept]
             if len(is_kept) and frame.empty:
-                return frame
-    frame, row_counts[path.name] = clean_rows(schema, frame)
-    return frame.reset_index(drop=True)
+                return TableRows(frame)
+    frame, counts = clean_rows(schema, frame)
+    return TableRows(frame.reset_index(drop=True), {path.name: counts})
 
 
 def _refuse_odd_trials(names: Sequence[str], path: Path) -> None:

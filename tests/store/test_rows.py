@@ -233,4 +233,4 @@ def test_error_for_a_folder_of_runs_names_the_newest(tmp_path):
     with pytest.raises(
         DataError, match=r"lies in .*29.09-00-00-b\. Name that folder\.$"
     ):
-        read_rows(ARM, tmp_path, {})
+        read_rows(ARM, tmp_path)
