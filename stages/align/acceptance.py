@@ -123,22 +123,7 @@ def _residual_sum(jacobian: np.ndarray, residual: np.ndarray) -> float:
 def suspected_causes(
     problem: AlignmentProblem, fit: AlignmentFit
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield possible causes of a misfit.
-
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-
-    Yields
-    ------
-    sentence
-        The cause in words.
-    columns
-        Changes of the residuals by the cause (N, K).
-    """
+    """Yield possible causes of a misfit, and their changes of the residuals (N, K)."""
     yield (
         "the joints turned more or less than they report",
         residual_changes(problem, fit, "joint_gain", 1e-3),
@@ -176,23 +161,9 @@ def _added_column(
 def residual_changes(
     problem: AlignmentProblem, fit: AlignmentFit, name: str, size: float
 ) -> np.ndarray:
-    """Return changes of the residuals over sigma by an effect on the hand.
+    """Return changes of the residuals over sigma by an effect on the hand, (N, K).
 
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-    name
-        Name of the effect.
-    size
-        Size of each of its amplitudes.
-
-    Returns
-    -------
-    array
-        A column for each amplitude (N, K).
+    size: of each of its K amplitudes.
     """
     effect = find_effects([name])[0]
     model = problem.model.with_effects(effect)

@@ -180,23 +180,10 @@ def sightings_table(
 def measured_table(
     problem: AlignmentProblem, fit: AlignmentFit, lag: float
 ) -> pd.DataFrame:
-    """Tabulate the parameters with their 95 % intervals.
+    """Build table MEASURED_PARAMETERS with 95 % intervals.
 
-    The intervals allow for candidate effects that were not detected, except a lag.
-
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    fit
-        The selected fit.
-    lag
-        The largest lag that would not be detected [s].
-
-    Returns
-    -------
-    DataFrame
-        Table MEASURED_PARAMETERS.
+    They allow for candidate effects that were not detected, except a lag. lag: the
+    largest one that would not be detected [s].
     """
     fitted = (*fit.effects, "arm_lag")
     undetected = [name for name in CANDIDATE_EFFECTS if name not in fitted]

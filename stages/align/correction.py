@@ -13,22 +13,10 @@ FIXED_POINT_ROUNDS = 12  # each reduces the error to a tenth or less
 
 
 def transform_to_arm_frame(points: Points, model: Model) -> Points:
-    """Move points to the arm's frame, as far as the alignment was measured.
+    """Move points to the arm's frame, as far as the model's alignment was measured.
 
     Times remain on the camera's clock. A rolling shutter is not corrected, because its
     effect depends on speeds.
-
-    Parameters
-    ----------
-    points
-        Points and tips that the camera reports.
-    model
-        The model with the measured alignment.
-
-    Returns
-    -------
-    Points
-        Points with x and y in the arm's frame.
     """
     if not model.measured_ranges:
         return points

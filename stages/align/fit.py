@@ -105,19 +105,9 @@ class AlignmentProblem:
         return np.array([ranges[name] for name in names]).T
 
     def residuals(self, names: Sequence[str], x: np.ndarray) -> np.ndarray:
-        """Return simulated minus seen positions of candidates.
+        """Return simulated minus seen positions of candidates, (C, N) [m].
 
-        Parameters
-        ----------
-        names
-            Qualified names of parameters; effects of the others are absent.
-        x
-            Their values (C, P).
-
-        Returns
-        -------
-        array
-            Residuals (C, N) [m].
+        names: of parameters with values x (C, P); effects of the others are absent.
         """
         values = np.tile(self.model.values({}), (len(x), 1))
         values[:, [self.model.names.index(name) for name in names]] = x
@@ -242,23 +232,9 @@ def fit_alignment(
 ) -> AlignmentFit:
     """Fit the parameters of effects by robust least squares.
 
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-    effects
-        Names of the effects.
-    start
-        Initial values by qualified name; the others start at 0.
-    fixed
-        Values of parameters that are not fitted.
-    limit
-        Huber's limit of a fit whose deviance is compared; estimated by default.
-
-    Returns
-    -------
-    AlignmentFit
-        The best fit.
+    start: initial values by qualified name; the others start at 0. fixed: values of
+    parameters that are not fitted. limit: Huber's, of a fit whose deviance is compared;
+    estimated by default.
     """
     start, fixed = start or {}, fixed or {}
     names = tuple(name for name in problem.parameters(effects) if name not in fixed)
@@ -297,18 +273,7 @@ def robust_sigma(residual: np.ndarray) -> float:
 
 
 def select_effects(problem: AlignmentProblem) -> AlignmentFit:
-    """Fit the required effects, and add candidates while they improve the fit.
-
-    Parameters
-    ----------
-    problem
-        The sighted trials.
-
-    Returns
-    -------
-    AlignmentFit
-        The fit with all significant effects.
-    """
+    """Fit the required effects, and add candidates while they improve the fit."""
     best = fit_alignment(problem, REQUIRED_EFFECTS)
     while True:
         candidates = [name for name in CANDIDATE_EFFECTS if name not in best.effects]

@@ -18,24 +18,9 @@ MIN_SIGMA_M = 1e-4  # smallest estimate of the noise
 
 
 def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
-    """Return sightings of the grasp in a trial's points, in x and in y.
+    """Return two sightings, in x and in y, for each point at the grasp of a trial.
 
-    Parameters
-    ----------
-    observation
-        A trial with joint angles and points.
-    arm
-        The arm.
-
-    Returns
-    -------
-    SightedTrial
-        Two sightings for each point at the grasp.
-
-    Raises
-    ------
-    DataError
-        If the points do not show the grasp.
+    Raises DataError if the points do not show the grasp.
     """
     trial = f"trial {observation.trial}"
     if observation.arm is None:
@@ -76,23 +61,10 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
 def hand_sightings(
     t: np.ndarray, seen: np.ndarray, sigma: np.ndarray, links: int
 ) -> Sightings:
-    """Return sightings of the hand in x and in y.
+    """Return 2 K sightings of the hand, in x and in y.
 
-    Parameters
-    ----------
-    t
-        Times (K,) [s].
-    seen
-        Positions (K, 2) [m].
-    sigma
-        Standard deviations of a coordinate (K,) [m].
-    links
-        Number of the arm's links.
-
-    Returns
-    -------
-    Sightings
-        2 K sightings.
+    t: (K,) [s]. seen: positions (K, 2) [m]. sigma: of a coordinate (K,) [m]. links:
+    number of the arm's links.
     """
     times, frame = np.unique(t, return_inverse=True)
     count = 2 * len(t)

@@ -79,28 +79,9 @@ class Silhouettes:
 def sightings_from_films(
     model: Model, films: Mapping[str, Film], width: float, progress: Progress
 ) -> list[SightedTrial]:
-    """Read the arm's outline in films.
+    """Read the arm's outline in films with joint angles.
 
-    Parameters
-    ----------
-    model
-        The model with all candidate effects.
-    films
-        Films with joint angles, by trial.
-    width
-        Width of the links [m].
-    progress
-        Called with the completed share.
-
-    Returns
-    -------
-    list of SightedTrial
-        A trial for each film.
-
-    Raises
-    ------
-    DataError
-        If no arm is seen.
+    width: of the links [m]. Raises DataError if no arm is seen.
     """
     # an odd size does not shift the outline
     opening = round(width * model.camera.px_per_m * OPENING_SHARE) // 2 * 2 + 1
@@ -136,26 +117,10 @@ def sightings_from_films(
 
 
 def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
-    """Extract pixels of wide objects that differ from the scene.
+    """Extract pixels of wide objects that differ from the scene, in some frames.
 
-    Parameters
-    ----------
-    name
-        The trial.
-    film
-        A film with joint angles.
-    opening
-        Width below which objects are not the arm [px].
-
-    Returns
-    -------
-    Silhouettes
-        The arm in at most MAX_FRAMES frames.
-
-    Raises
-    ------
-    DataError
-        If the contrast is too small.
+    opening: width below which objects are not the arm [px]. Raises DataError if the
+    contrast is too small.
     """
     assert film.arm is not None
     log_t, log = film.arm["t"].to_numpy(), film.arm[list(JOINTS)].to_numpy()
@@ -191,20 +156,10 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
 
 
 def estimate_scene(frames: np.ndarray) -> np.ndarray:
-    """Estimate the scene behind an arm that is brighter or darker.
+    """Estimate the scene (height, width) behind an arm that is brighter or darker.
 
-    The scene is the one of two estimates from which the frames differ less, because the
-    arm covers only a small part of each frame.
-
-    Parameters
-    ----------
-    frames
-        Frames (F, height, width), uint8.
-
-    Returns
-    -------
-    array
-        The scene (height, width), float32.
+    It is the one of two estimates from which the frames (F, height, width) differ less,
+    because the arm covers only a small part of each frame.
     """
 
     def mean_difference(scene: np.ndarray) -> float:
@@ -226,26 +181,11 @@ def find_pieces(
     width: float,
     reach: float,
 ) -> pd.DataFrame:
-    """Find pieces of links in some frames of a trial.
+    """Find pieces of links in some frames of a trial, as in `link_pieces`.
 
-    Parameters
-    ----------
-    model, values
-        Model and parameters that give the expected arm.
-    trial
-        The arm's pixels.
-    frames
-        Indices of the frames.
-    width
-        Width of the links [m].
-    reach
-        Arm widths within which pixels count.
-
-    Returns
-    -------
-    DataFrame
-        Table of `link_pieces` with column `position`, the index of the frame in
-        `frames`.
+    values: of the model that gives the expected arm. frames: their indices. width: of
+    the links [m]. reach: arm widths within which pixels count. Returns a table with
+    column `position`, the index in `frames`.
     """
     times = trial.times[frames]
     joints_by_frame = model.observed_arm(trial.motion, values[None], times)[0]
@@ -278,18 +218,8 @@ def link_pieces(
 ) -> pd.DataFrame:
     """Locate the middle of each piece of each link.
 
-    Parameters
-    ----------
-    model
-        The model with the camera.
-    pixels
-        Pixels of the arm (n, 2).
-    joints
-        Expected positions of the joints (J + 1, 2) [m].
-    width
-        Width of the links [m].
-    reach
-        Arm widths within which pixels count.
+    pixels: of the arm (n, 2). joints: expected positions (J + 1, 2) [m]. width, reach:
+    as in `find_pieces`.
 
     Returns
     -------
@@ -367,14 +297,9 @@ def _is_clear_of_others(
 def link_coordinates(
     points: np.ndarray, joints: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return coordinates of points relative to each link.
+    """Return coordinates of points (n, 2) [m] relative to each link.
 
-    Parameters
-    ----------
-    points
-        Positions (n, 2) [m].
-    joints
-        Positions of the joints (J + 1, 2) [m].
+    joints: positions (J + 1, 2) [m].
 
     Returns
     -------

@@ -50,19 +50,9 @@ class SightedTrial:
     sightings: Sightings
 
     def residuals(self, model: Model, values: np.ndarray) -> np.ndarray:
-        """Return simulated minus seen positions along the measured directions.
+        """Return simulated minus seen positions (C, N) [m] in the measured directions.
 
-        Parameters
-        ----------
-        model
-            The model of arm and camera.
-        values
-            Parameters of candidates (C, P).
-
-        Returns
-        -------
-        array
-            Residuals (C, N) [m].
+        values: parameters of candidates (C, P).
         """
         seen = self.sightings
         joints = model.observed_arm(self.motion, values, seen.times)

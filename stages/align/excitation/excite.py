@@ -149,21 +149,9 @@ def draw_swings(
     highest: float,
     sines: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw swings about a random pose, with `speed` as the hand's largest speed.
+    """Draw swings about a random pose; return angles and speeds at ticks (K, J).
 
-    Parameters
-    ----------
-    arm
-        The arm.
-    rng
-        Source of randomness.
-    duration, speed, highest, sines
-        As in `excite`.
-
-    Returns
-    -------
-    tuple of array
-        Angles [rad] and speeds [rad/s] at the arm's ticks (K, J).
+    The hand's largest speed is `speed`. Other parameters are those of `excite`.
     """
     t = np.arange(round(duration / arm.tick) + 1) * arm.tick
     low, high = np.asarray(arm.lowest), np.asarray(arm.highest)
@@ -230,23 +218,11 @@ def violated_limit(
 def alignment_information(
     model: Model, angles: np.ndarray, speeds: np.ndarray
 ) -> float:
-    """Compute the information of a motion about the alignment.
+    """Compute the log information of a motion (K, J) about the alignment.
 
     It is the log determinant of the Fisher information of all parameters, plus
     CLOCK_WEIGHT times the log information about the clock offset with all others
     unknown. A lag is left out there, because only its sum with the offset is measured.
-
-    Parameters
-    ----------
-    model
-        The model of arm, string and camera.
-    angles, speeds
-        The motion (K, J) [rad], [rad/s].
-
-    Returns
-    -------
-    float
-        Log information.
     """
     arm = model.arm
     motion = JointMotion(0.0, arm.tick, angles[None], speeds[None])
