@@ -23,11 +23,7 @@ class ExpectedError(Exception):
     """An error that the user can correct.
 
     The message has the form `place: fault. Remedy.` The place is a file or an option.
-
-    Attributes
-    ----------
-    field
-        Column, key, line or option at fault; empty if it is none or unknown.
+    field: column, key or line at fault; empty if it is none or unknown.
     """
 
     def __init__(self, message: str, field: str = "") -> None:

@@ -62,20 +62,9 @@ class NotMadeError(Exception):
 class Verification:
     """An executor that makes each step again, and compares it with the stored one.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        The run's experiment.
-    folder : Path
-        Folder of the run.
-    scratch : Path
-        An empty folder to compute in.
-    bar : callable
-        Makes the progress bar of a step by its name.
-    is_same : bool
-        Whether every step exists and is equal.
-    lines : list of str
-        The outcome of each comparison.
+    folder: of the run. scratch: an empty folder to compute in. bar: makes the progress
+    bar of a step by its name. is_same: whether every step exists and is equal. lines:
+    the outcome of each comparison.
     """
 
     experiment: Experiment

@@ -25,20 +25,8 @@ class Severity(StrEnum):
 class Finding:
     """A fault or peculiarity that a check found in the data.
 
-    Attributes
-    ----------
-    severity
-        How bad it is.
-    file
-        The file that it concerns.
-    field
-        The column or key there; empty if it concerns the whole file.
-    statement
-        What was found.
-    remedy
-        What to do about it.
-    trials
-        The trials that it concerns; empty if it concerns all of the data.
+    field: column or key in the file; empty if all of it is concerned. trials: those
+    that it concerns; empty if it concerns all of the data.
     """
 
     severity: Severity

@@ -33,17 +33,8 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     Tension pulls the tip along the string. Across the string, the tip of a limp string
     is accelerated by gravity alone. A stiff string is also straightened, and seems to
     fall up to several times as fast. The estimate regresses the tip's acceleration
-    across the string on that of gravity, over all frames.
-
-    Parameters
-    ----------
-    trial
-        A trial with points.
-
-    Returns
-    -------
-    float
-        Gravity, or NaN if the trial does not show it.
+    across the string on that of gravity, over all frames. It is NaN if the trial does
+    not show it.
     """
     t, tip, direction = _tip_track(trial)
     if len(t) < 2:

@@ -140,12 +140,7 @@ def find_resting_points(measured: Measurements) -> RestingPoints | None:
 def fit_hanging_string(resting: RestingPoints, length: float | None) -> HangingString:
     """Fit a heavy rod and the arc lengths of points to their places at rest.
 
-    Parameters
-    ----------
-    resting
-        The points at rest.
-    length
-        Arc length of the last point [m]; None if it is unknown, too.
+    length: arc length of the last point [m]; None if it is unknown, too.
     """
     chords = resting.chords
     rod = HeavyRod.in_hands(resting.hands, resting.places[:, -1], float(chords[-1]))

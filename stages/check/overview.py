@@ -78,17 +78,9 @@ def overview_rows(dataset: CheckedDataset) -> list[dict[str, Any]]:
 
 
 def detection_limit_text(limit: Mapping[str, Any]) -> str:
-    """Describe the size from which an effect would be found.
+    """Describe the size, with its unit, from which an effect would be found.
 
-    Parameters
-    ----------
-    limit
-        An entry of `effects` in the output of `check --effects`.
-
-    Returns
-    -------
-    str
-        The size with its unit.
+    limit: an entry of `effects` in the output of `check --effects`.
     """
     factor, unit = DISPLAY_UNITS.get(limit["unit"], (1.0, limit["unit"]))
     if limit["found_from"] is None:

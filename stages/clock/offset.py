@@ -96,16 +96,9 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class FittedOffset:
-    """An offset and the fits from which it was estimated.
+    """An offset and the fits from which it was estimated, each with its window.
 
-    Attributes
-    ----------
-    clock : ClockOffset
-        The offset.
-    fits : sequence of ClockFit
-        One for all trials, or one for each.
-    windows : sequence of Window
-        The window of each fit.
+    There is one fit for all trials, or one for each.
     """
 
     clock: ClockOffset
@@ -140,23 +133,9 @@ def estimate_clock_offset(
 ) -> ClockOffset:
     """Estimate the offset to add to the camera's times, with its uncertainty.
 
-    Parameters
-    ----------
-    model : Model
-        A string without causes.
-    observations : sequence of Observation
-        Trials with points; those in which nothing moves are left out.
-    rng : numpy.random.Generator
-    progress : callable
-
-    Returns
-    -------
-    ClockOffset
-
-    Raises
-    ------
-    DataError
-        If nothing moves, or if a trial cannot be used.
+    model: a string without causes. observations: trials with points; those in which
+    nothing moves are left out. Raises DataError if nothing moves, or if a trial cannot
+    be used.
     """
     # Spikes seem to be beyond the string at the true offset, and bias the fit
     trials = []

@@ -56,21 +56,9 @@ def mean_share(values: np.ndarray) -> tuple[float, float, float]:
 class Outcome:
     """A column of the sweep's table.
 
-    Attributes
-    ----------
-    name : str
-        Column.
-    label, unit : str
-        Label of an axis.
-    mean : callable
-        Combines the values of several seeds.
-    scale : float
-        Factor from the column's unit to the axis' unit.
-    axis : str
-        Matplotlib's name of the axis' scale.
-    bounds : tuple of float
-        Least and largest possible value, in the column's unit; intervals are clipped to
-        them.
+    label, unit: of an axis. mean: combines the values of several seeds. scale: factor
+    from the column's unit to the axis' unit. axis: Matplotlib's name of its scale.
+    bounds: least and largest possible value, in the column's unit.
     """
 
     name: str
@@ -114,21 +102,10 @@ def parameter_outcome(name: str, unit: str) -> Outcome:
 def mean_response(
     jobs: pd.DataFrame, outcome: Outcome, factors: list[str]
 ) -> pd.DataFrame:
-    """Average an outcome at each level of some settings.
+    """Average an outcome of finished jobs at each level of some settings.
 
-    Parameters
-    ----------
-    jobs : DataFrame
-        Finished jobs, with a column `seed`.
-    outcome : Outcome
-    factors : list of str
-        Columns of the settings.
-
-    Returns
-    -------
-    DataFrame
-        Columns factors, mean, low, high, seeds, jobs. Levels without a known value have
-        no row; levels with fewer than MIN_SEEDS seeds have no interval.
+    Returns columns factors, mean, low, high, seeds, jobs. Levels without a known value
+    have no row; levels with fewer than MIN_SEEDS seeds have no interval.
     """
     has_value = jobs[outcome.name].notna()
     if outcome.axis == "log":

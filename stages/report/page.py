@@ -45,22 +45,10 @@ SOURCES = {
 class Page:
     """A self-contained page, whose HTML is `str(page)`.
 
-    Attributes
-    ----------
-    kind : str
-        Subject of the report, such as sweep.
-    name : str
-        Name of the run.
-    origin : mapping
-        Seed, if any, code, packages.
-    settings : mapping
-        Settings as nested blocks.
-    tone : str
-        "good" or "bad", for the colour and mark of the heading.
-    nav : sequence of (anchor, words)
-        Links to parts; by default, a page of many sections links to each.
-    following : sequence of (purpose, command)
-        Commands to continue with.
+    kind: subject, such as sweep. origin: seed, if any, code, packages. settings: nested
+    blocks. tone: "good" or "bad", for the colour and mark of the heading. nav: anchors
+    and words of links; by default, a page of many sections links to each. following:
+    purposes and commands to continue with.
     """
 
     kind: str

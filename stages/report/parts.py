@@ -138,14 +138,8 @@ class Details(Part):
 class Layer:
     """A layer of strings in a film, which the reader can show or hide.
 
-    Attributes
-    ----------
-    name : str
-        Name of the strings in the film's data.
-    colour : str
-        Name of the theme, or #...
-    label : str
-        Label for the reader; the name by default.
+    name: of the strings in the film's data. colour: of the theme, or #... label: for
+    the reader; the name by default.
     """
 
     name: str
@@ -186,18 +180,8 @@ class Line:
 class Chart(Part):
     """Curves over time, with hovering and zooming.
 
-    Attributes
-    ----------
-    t : ndarray
-        Ascending times [s].
-    axis : str
-        Label of the axis with its unit.
-    moving : tuple of float, optional
-        Interval [s] in which the arm moves.
-    mark : float, optional
-        Moment [s] to mark.
-    low : float, optional
-        Lower end of the axis.
+    t: ascending times [s]. axis: its label with its unit. moving: interval [s] in which
+    the arm moves. mark: moment [s] to mark. low: lower end of the axis.
     """
 
     title: str
@@ -239,14 +223,8 @@ class Chart(Part):
 class Explore(Part):
     """Films and charts that share one clock.
 
-    Attributes
-    ----------
-    layers : sequence of Layer
-        Layers of the films.
-    times : bool
-        Whether the reader can magnify the differences between the strings.
-    plays : bool
-        Whether the clock runs in a loop until the reader stops it.
+    times: whether the reader can magnify the differences between the strings. plays:
+    whether the clock runs in a loop until the reader stops it.
     """
 
     parts: Sequence[Part]
@@ -284,13 +262,8 @@ class Commands(Part):
 class RunsView(Part):
     """A list of runs that can be sorted and filtered, with their casts as curves.
 
-    Attributes
-    ----------
-    table : TableView
-        A row for each run; the second column names it.
-    casts : mapping
-        Lists `miss_mm` and `E` over the casts, by the name of the run; None where a
-        value is unknown.
+    table: a row for each run; the second column names it. casts: lists `miss_mm` and
+    `E` over the casts, by the name of the run; None where a value is unknown.
     """
 
     table: TableView

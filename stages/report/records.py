@@ -29,24 +29,10 @@ from stringcast.stages.report.outcomes import CAST_OUTCOMES, Outcome, parameter_
 # --- a stage of any kind
 @dataclass(frozen=True)
 class StageRecord:
-    """Content of the page of a stage.
+    """Content of the page of a stage, with its artifact.
 
-    Attributes
-    ----------
-    name : str
-        Name of the run.
-    sentence : str
-        The result in a sentence.
-    artifact : artifact
-        Output of the stage.
-    model : Model
-        The configured model.
-    settings : mapping
-        Nested blocks.
-    provenance : mapping
-        Seed, code, packages.
-    next_commands : sequence of (purpose, command)
-        Commands to continue with.
+    settings: nested blocks. provenance: seed, code, packages. next_commands: purposes
+    and command lines.
     """
 
     name: str
@@ -63,11 +49,8 @@ class StageRecord:
 class CastRecord:
     """A cast and its simulation.
 
-    Attributes
-    ----------
-    before, after : ndarray, shape (F, n, 2)
-        Strings [m] simulated at the frame times with the parameters before and after
-        estimation; NaN where the simulation diverged.
+    before, after: strings (F, n, 2) [m] at the frame times with the parameters before
+    and after estimation; NaN where the simulation diverged.
     """
 
     motion: Motion
@@ -127,17 +110,9 @@ class CastRecord:
         return self.centre_lines.get(frame, np.zeros((0, 3)))[:, :2]
 
     def tip_path(self, t: np.ndarray) -> np.ndarray:
-        """Interpolate the tip by a cubic through its readings, as the hit test does.
+        """Return the tip (K, 2) [m] at times (K,) [s].
 
-        Parameters
-        ----------
-        t : ndarray, shape (K,)
-            Times [s].
-
-        Returns
-        -------
-        ndarray, shape (K, 2)
-            Positions [m], NaN outside the readings and in long gaps.
+        It is a cubic through its readings, as in the hit test, and NaN outside them.
         """
         readings = self.points.readings
         read_times = readings.loc[readings["valid"].astype(bool), "t"]
@@ -153,14 +128,8 @@ class CastRecord:
 class RunRecord:
     """Content of the page of a run; no casts if it only estimated.
 
-    Attributes
-    ----------
-    estimates : tuple of Estimate
-        All estimates of the run, in order.
-    look : CastRecord, optional
-        The slow trial before the first cast; its verdict has no meaning.
-    next_commands : sequence of (purpose, command)
-        Commands to continue with.
+    estimates: all of the run, in order. look: the slow trial before the first cast; its
+    verdict has no meaning. next_commands: as in `StageRecord`.
     """
 
     name: str
@@ -184,24 +153,10 @@ def simulate_cast(
     previous: Estimate | None,
     estimate: Estimate | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate the executed motion with the parameters before and after estimation.
+    """Simulate strings (F, n, 2) [m] of a cast, before and after estimation.
 
-    Parameters
-    ----------
-    model : Model
-        The configured model.
-    observation : Observation
-        Observation of the cast.
-    trial : Trial
-        Trial of the cast; the string is simulated at its frames.
-    previous, estimate : Estimate, optional
-        Estimates before and after the cast; by default, the start values and the
-        estimate before.
-
-    Returns
-    -------
-    before, after : ndarray, shape (F, n, 2)
-        Points of the strings [m].
+    previous, estimate: estimates before and after the cast; by default, the start
+    values and the estimate before.
     """
     values_before = {} if previous is None else previous.values()
     values_after = values_before if estimate is None else estimate.values()
@@ -298,18 +253,9 @@ SEED_COLUMN = "seed"
 class SweepRecord:
     """Content of the page of a sweep.
 
-    Attributes
-    ----------
-    jobs : DataFrame
-        A row for each job; see `pipeline.sweep.table`.
-    setting_names : sequence of str
-        Columns that are settings.
-    parameter_columns : mapping
-        Unit of each column that is a parameter.
-    settings : mapping
-        Settings that all jobs share.
-    units : mapping
-        Units of settings that have one.
+    jobs: a row for each; see `pipeline.sweep.table`. setting_names: its columns that
+    are settings. parameter_columns: units of its columns that are parameters. settings:
+    those that all jobs share. units: of settings that have one.
     """
 
     name: str
@@ -392,14 +338,7 @@ class PaperFigure:
 class PaperRecord:
     """Content of the page of the paper's experiments.
 
-    Attributes
-    ----------
-    tables : mapping
-        Tables by name; see `pipeline.paper`.
-    requested_runs : int
-        Number of runs requested.
-    settings : mapping
-        Settings that all runs share.
+    tables: by name; see `pipeline.paper`. settings: those that all runs share.
     """
 
     tables: Mapping[str, pd.DataFrame] = field(repr=False)

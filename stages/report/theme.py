@@ -50,16 +50,9 @@ CSS_VARIABLES = (
 
 @dataclass(frozen=True)
 class Picture:
-    """An image of a page.
+    """An image of a page, as a data URI, with a description for screen readers.
 
-    Attributes
-    ----------
-    source : str
-        Data URI.
-    alt : str
-        Description for screen readers.
-    width, height : int
-        Natural size [px].
+    width, height: its natural size [px].
     """
 
     source: str
@@ -96,14 +89,7 @@ def _as_picture(figure: Figure, kind: str, content: bytes, alt: str) -> Picture:
 
 
 def encode_webp(image: np.ndarray, quality: int) -> bytes:
-    """Encode an image as WebP.
-
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width) or (height, width, 3)
-    quality : int
-        0 to 100.
-    """
+    """Encode an image, grey or RGB, as WebP of a quality from 0 to 100."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, "webp", quality=quality, method=WEBP_METHOD)
     return buffer.getvalue()

@@ -34,17 +34,8 @@ def tip_alone(recording: Recording, tip: str) -> Recording:
 def find_pairing(measured: Measurements, verdict: Verdict) -> dict[str, str]:
     """Find trials whose points belong to the hand of another trial.
 
-    Parameters
-    ----------
-    measured
-        The measurements.
-    verdict
-        Their verdict.
-
-    Returns
-    -------
-    dict
-        The trial whose points fit, by the trial of the hand; only where they differ.
+    Returns the trial whose points fit, by the trial of the hand; only where they
+    differ.
     """
     limits = {broken.limit for broken in verdict.broken.values()}
     has_other_fault = not limits <= LIMITS_OF_OTHER_HANDS

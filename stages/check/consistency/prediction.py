@@ -170,14 +170,7 @@ def simulate_ladder(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulate strings of all stiffnesses; return `Prediction.t` and `.nodes`.
 
-    Parameters
-    ----------
-    length
-        Length of the string [m].
-    set_angles
-        As in `predict`.
-    t, pose
-        Times (K,) [s] of the hand and its poses (K, 3).
+    t, pose: times (K,) [s] of the hand and its poses (K, 3).
     """
     motion = resample_hand_motion(t, pose, TICK_S)
     rungs = []

@@ -139,21 +139,10 @@ def arm_poses(
     links: Sequence[float] | np.ndarray,
     base: Sequence[float] | np.ndarray,
 ) -> np.ndarray:
-    """Compute poses of the grasp of a planar arm.
+    """Compute poses (K, 3) of the grasp of a planar arm: x, y [m] and theta [rad].
 
-    Parameters
-    ----------
-    joints
-        Joint angles (K, J) [rad], base first, each relative to the previous link.
-    links
-        Lengths of the links (J,) [m].
-    base
-        Place of joint 1 (2,) [m].
-
-    Returns
-    -------
-    ndarray of shape (K, 3)
-        x, y [m] and theta [rad].
+    joints: angles (K, J) [rad], base first, each relative to the previous link. links:
+    lengths (J,) [m]. base: place of joint 1 (2,) [m].
     """
     angles = np.cumsum(joints, axis=1)  # of the links, from +x
     x = base[0] + (np.cos(angles) * links).sum(axis=1)

@@ -70,12 +70,8 @@ class Proposal:
 class Answer:
     """The corrections, or the pairing, that make measurements consistent.
 
-    Attributes
-    ----------
-    proposals
-        Corrections, the best first; more than one if the data do not decide.
-    pairing
-        The trial whose points fit, by the trial of the hand; only where they differ.
+    proposals: the best first; more than one if the data do not decide. pairing: as in
+    `find_pairing`.
     """
 
     proposals: Sequence[Proposal] = ()
@@ -91,14 +87,7 @@ def find_answer(
     place of the arm, then pairs of corrections. The last two are also tried if a single
     correction has a larger misfit than right data: it may fit by chance.
 
-    Parameters
-    ----------
-    measured
-        The measurements.
-    before
-        Their verdict.
-    camera
-        The camera, in whose pixels positions may be.
+    before: the verdict. camera: in whose pixels positions may be.
     """
     if before.is_consistent:
         return find_silent_mistake(measured, before)

@@ -54,16 +54,8 @@ def draw_map(
 ) -> ScalarMappable:
     """Draw mean values in cells of arc length and time.
 
-    Parameters
-    ----------
-    axes : Axes
-    s, t, values : ndarray, shape (N,)
-        Arc length [m], time [s] and value of each point. Cells without a point are
-        empty.
-    length : float
-        Length of the string [m], where the cells end.
-    style : keywords
-        Colours of `Axes.pcolorfast`.
+    Cells without a point are empty. s, t, values: of each point (N,) [m], [s]. length:
+    of the string, where the cells end [m]. style: colours of `Axes.pcolorfast`.
     """
     s_edges, t_edges = _string_edges(s, length), _time_edges(t)
     total, *_ = np.histogram2d(s, t, (s_edges, t_edges), weights=values)

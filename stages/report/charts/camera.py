@@ -63,14 +63,7 @@ class ImageRegion:
 
 
 def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
-    """Return the region of the image that shows world points.
-
-    Parameters
-    ----------
-    record : Record
-    world : ndarray, shape (N, 2)
-        Points [m]; NaN points are ignored.
-    """
+    """Return the region of the image that shows world points (N, 2) [m], except NaN."""
     camera = record.model.camera
     pixels = camera.pixels(world[np.isfinite(world).all(axis=1)])
     border = REGION_MARGIN_M * camera.px_per_m

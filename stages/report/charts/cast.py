@@ -162,17 +162,9 @@ DISTANCE_COLOURS = colormaps["viridis"].resampled(24)  # more would double the p
 def distances(
     record: RunRecord, cast: CastRecord, simulated: np.ndarray
 ) -> pd.DataFrame:
-    """Return the distance between each measured point and a simulated string.
+    """Return the distance of measured points from a simulated string (F, n, 2) [m].
 
-    Parameters
-    ----------
-    simulated : ndarray, shape (F, n, 2)
-        String at the frame times [m].
-
-    Returns
-    -------
-    DataFrame
-        frame, s [m] and distance [m] at the same arc length.
+    The columns are frame, s [m] and distance [m] at the same arc length.
     """
     string = record.model.string
     lines = cast.centre_lines

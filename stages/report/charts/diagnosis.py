@@ -48,12 +48,8 @@ def law_picture(effect: type[Effect], values: Mapping[str, float]) -> Picture:
 def screening_pictures(record: DiagnosisRecord) -> list[tuple[str, Picture]]:
     """Draw the predicted gains of effects at each step of the search.
 
-    Steps from causes that were dropped later are omitted.
-
-    Returns
-    -------
-    list of (context, picture)
-        The context names the causes in the model.
+    Each picture has the causes in the model as its title. Steps from causes that were
+    dropped later are omitted.
     """
     chosen = set(record.extension.get("effects", ()))
     named = record.diagnosis.causes["effect"]

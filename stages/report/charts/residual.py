@@ -121,12 +121,8 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
     """Split a model's residual over the noise floor along the base model's string.
 
     The table has the components of the base model's residual. The string's direction
-    follows from x + iy = direction * (tangential + i normal).
-
-    Returns
-    -------
-    dict
-        normal and tangential, shape (n,) each.
+    follows from x + iy = direction * (tangential + i normal). Returns normal and
+    tangential, (n,) each.
     """
     split = (table["base_tangential"] + 1j * table["base_normal"]).to_numpy()
     direction = np.ones(len(table), complex)  # where there is no residual

@@ -87,15 +87,8 @@ def target_map(jobs: pd.DataFrame, max_casts: int) -> Picture:
     """Draw a mark at each target, darker for fewer casts until a hit (median seed).
 
     Hollow marks: the median seed did not hit. Crosses: no job finished, mostly because
-    the target is out of reach.
-
-    Parameters
-    ----------
-    jobs : DataFrame
-        Jobs that finished or failed, with columns target.x and target.y [m], state, hit
-        and casts.
-    max_casts : int
-        Largest number of casts of a job.
+    the target is out of reach. jobs: those that ended, with columns target.x and
+    target.y [m], state, hit and casts.
     """
     needed = jobs["casts"].where(jobs["hit"] == 1, np.inf)
     needed = needed.where(jobs["state"] == "done", np.nan)

@@ -46,15 +46,8 @@ def check_page(
 ) -> str:
     """Render the page of a check of measured data.
 
-    Parameters
-    ----------
-    measured : CheckedDataset
-    found : mapping
-        Result of `check.overview`.
-    origin : mapping
-        Code and files.
-    following : sequence of (purpose, command)
-        Commands to continue with.
+    found: result of `dataset_overview`. origin: code and files. following: purposes and
+    commands to continue with.
     """
     findings = found["findings"]
     error_count = sum(finding["severity"] == "error" for finding in findings)

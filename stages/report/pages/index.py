@@ -43,17 +43,9 @@ def index_page(
 ) -> str:
     """Render the page of all runs in a folder.
 
-    Parameters
-    ----------
-    runs : DataFrame
-        Table RUNS of `pipeline.commands.index`, with the link `page` to the run's own
-        page, or an empty text.
-    folder : str
-        Folder of the runs.
-    origin : mapping
-        Code and packages.
-    casts : mapping
-        Closest approach `miss_mm` and matching rate `E` of each cast, by run.
+    runs: table RUNS of `pipeline.commands.index`, with the link `page` to the run's own
+    page, or an empty text. origin: code and packages. casts: closest approach `miss_mm`
+    and matching rate `E` of each cast, by run.
     """
     newest = runs.sort_values("date", ascending=False, kind="stable").to_dict("records")
     states = [
