@@ -97,6 +97,25 @@ def points_at_arc_lengths(
     return result
 
 
+def tracks_at_arc_lengths(
+    times: np.ndarray,
+    frame: np.ndarray,
+    s: np.ndarray,
+    points: np.ndarray,
+    places: np.ndarray,
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return times [s] and positions [m] of each place in the frames that show it.
+
+    times: of the frames (F,). Other parameters are those of `points_at_arc_lengths`.
+    """
+    lines = points_at_arc_lengths(frame, s, points, places)  # (F, M, 2)
+    tracks = []
+    for line in np.moveaxis(lines, 1, 0):
+        is_seen = np.isfinite(line[:, 0])
+        tracks.append((times[is_seen], line[is_seen]))
+    return tracks
+
+
 def _binned_tracks(frame: np.ndarray, s: np.ndarray, width: float) -> list[np.ndarray]:
     """Tracks of places of this width [m]."""
     bins = np.round(s / width).astype(int)

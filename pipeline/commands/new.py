@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import keyword
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -98,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
     kind: str = options.kind
     name: str = options.name
     plugin: Path = options.to.resolve()
-    refuse_odd_names(kind, name, plugin)
+    refuse_odd_names(name, plugin)
     texts = fill_templates(kind, name, plugin.name)
     files = [plugin / path for path in texts]
     refuse_taken_name(kind, name, files)
@@ -123,16 +122,13 @@ def fill_templates(kind: str, name: str, plugin: str) -> dict[str, str]:
     }
 
 
-def refuse_odd_names(kind: str, name: str, plugin: Path) -> None:
+def refuse_odd_names(name: str, plugin: Path) -> None:
     """Raise UserError unless name and folder name are valid module names."""
     for given in (name, plugin.name):
-        if not is_module_name(given):
-            near = nearest_module_name(name)
-            folder = shown_path(plugin.with_name(nearest_module_name(plugin.name)))
-            command = ["new", kind, near, "--to", str(folder)]
+        if not NAME_PATTERN.fullmatch(given) or keyword.iskeyword(given):
             raise UserError(
-                f"{given}: a name consists of small letters, digits and _. "
-                f"Try: {program_name()} {shlex.join(command)}"
+                f"{given}: a name consists of small letters, digits and _, and begins "
+                "with a letter. Try another, such as my_arm."
             )
 
 
@@ -145,19 +141,6 @@ def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
             raise UserError(f"{place}: it is there already. Choose another name.")
     if kind == "stage" and name in stages():
         raise UserError(f"{name}: there is a stage of this name. Choose another name.")
-
-
-def is_module_name(name: str) -> bool:
-    """Return whether this is a valid module name."""
-    return bool(NAME_PATTERN.fullmatch(name)) and not keyword.iskeyword(name)
-
-
-def nearest_module_name(name: str) -> str:
-    """Return a valid module name similar to another name."""
-    if is_module_name(name):
-        return name
-    near = re.sub(r"\W+", "_", name.lower()).strip("_0123456789")
-    return near if is_module_name(near) else "mine"
 
 
 def shown_path(path: Path) -> Path:

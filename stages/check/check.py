@@ -8,9 +8,15 @@ from dataclasses import replace
 from functools import lru_cache
 
 from stringcast.data.schema import DataError
-from stringcast.stages.check import clocks, contents, frames, marks, motion, samples
+from stringcast.stages.check import (
+    clocks,
+    contents,
+    frames,
+    motion,
+    rest_shape,
+    samples,
+)
 from stringcast.stages.check.consistency import check as consistency
-from stringcast.stages.check.consistency.resting_length import check_resting_length
 from stringcast.stages.check.consistency.trial_clocks import check_trial_clocks
 from stringcast.stages.check.finding import Finding, Severity
 from stringcast.stages.check.measured import CheckedDataset
@@ -27,11 +33,10 @@ CHECKS: tuple[Check, ...] = (
     contents.check_empty_tables,
     contents.check_rejected_trials,
     contents.check_string_length,
-    check_resting_length,
-    marks.check_mark_places,
+    rest_shape.check_resting_length,
+    rest_shape.check_mark_places,
     contents.check_arm,
     contents.check_hand_tables,
-    contents.check_camera,
     contents.check_names,
     contents.check_roles,
     contents.check_trial_count,

@@ -39,7 +39,6 @@ MIN_NAME_SIMILARITY = 0.75
 NOISE_RATIO_HIGH, NOISE_RATIO_LOW = 5.0, 3.0
 MAX_NOISE = 0.1  # relative to the string's length
 MAX_LENGTH_RATIO = 1.1  # between trials with the same string
-MAX_FRAME_RATE = 1e7  # [1/s]: no camera films faster
 MIN_SEEN_LENGTH = 0.5  # share of the string: if less is seen, the tip is not
 MIN_METRIC_LENGTH = 0.01  # share of the string: if less is seen, the unit is wrong
 GEOMETRY = {"links": "how long its links are", "base": "where its joint 1 sits"}
@@ -187,17 +186,6 @@ def check_hand_tables(dataset: CheckedDataset) -> Iterator[Finding]:
             f"rm {dataset.data.folder / files[-1]}"
         )
         yield error(", ".join(files), "q1, q2, q3, x, y, theta", statement, remedy)
-
-
-def check_camera(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find frame rates that no camera has."""
-    fps = dataset.metadata_block("camera").get("fps")
-    if fps is not None and fps > MAX_FRAME_RATE:
-        statement = (
-            f"it is {float(fps):.3g} frames a second, more than any camera takes"
-        )
-        remedy = "Write how many it took in a second"
-        yield warning(DATASET_FILE, "camera.fps", statement, remedy)
 
 
 def check_noise(dataset: CheckedDataset) -> Iterator[Finding]:

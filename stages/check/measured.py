@@ -24,8 +24,8 @@ from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.string_places import (
     places_wander,
-    points_at_arc_lengths,
     track_places,
+    tracks_at_arc_lengths,
 )
 
 INITIAL_FRAMES = 3  # frames that give the initial place
@@ -130,12 +130,7 @@ class CheckedTrial:
         if not places_wander(s, all_tracks):
             return [(times[frame[track]], xy[track]) for track in tracks]
         arc_lengths = np.array([np.median(s[track]) for track in tracks])
-        lines = points_at_arc_lengths(frame, s, xy, arc_lengths)  # (F, tracks, 2)
-        tracks_at_places = []
-        for place in range(len(tracks)):
-            is_seen = np.isfinite(lines[:, place, 0])
-            tracks_at_places.append((times[is_seen], lines[is_seen, place]))
-        return tracks_at_places
+        return tracks_at_arc_lengths(times, frame, s, xy, arc_lengths)
 
     @cached_property
     def rate(self) -> float:

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from stringcast.pipeline.commands.check import read_measurements
-from stringcast.stages.check.consistency.resting_length import check_resting_length
+from stringcast.stages.check.rest_shape import check_resting_length
 from tests.importing.mistakes import simulated_bench
 
 

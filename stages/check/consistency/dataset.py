@@ -17,8 +17,8 @@ from stringcast.stages.check.measured import (
 )
 from stringcast.stages.string_places import (
     places_wander,
-    points_at_arc_lengths,
     track_places,
+    tracks_at_arc_lengths,
 )
 
 MAX_PLACES = 6  # along the string; if there are more, only RELATIVE_PLACES are used
@@ -83,11 +83,10 @@ def tracks_along_string(points: pd.DataFrame) -> tuple[Track, ...]:
         wanted = np.array(RELATIVE_PLACES) * end
         places = wanted[wanted >= s[tracks[0]].min()]
         places[-1:] -= 1e-9 * end
-        lines = points_at_arc_lengths(frame, s, xy, places)  # (F, places, 2)
-        for number, place in enumerate(places):
-            is_seen = np.isfinite(lines[:, number, 0])
-            if is_seen.sum() >= MIN_TRACK_FRAMES:
-                track = drop_spikes(times[is_seen], lines[is_seen, number])
+        seen = tracks_at_arc_lengths(times, frame, s, xy, places)
+        for number, (place, (t, line)) in enumerate(zip(places, seen, strict=True)):
+            if len(t) >= MIN_TRACK_FRAMES:
+                track = drop_spikes(t, line)
                 found.append(Track(f"{number}", float(place), *track))
         return tuple(found)
 

@@ -1,11 +1,15 @@
-"""Check of the stated length by the string at rest."""
+"""Checks of stated lengths by the shape of the string at rest."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from stringcast.data.metadata import DATASET_FILE
-from stringcast.stages.check.consistency.dataset import judge_dataset, measurements_of
+from stringcast.stages.check.consistency.dataset import (
+    MAX_PLACES,
+    judge_dataset,
+    measurements_of,
+)
 from stringcast.stages.check.finding import Finding, warning
 from stringcast.stages.check.hanging_string import (
     find_resting_points,
@@ -14,6 +18,13 @@ from stringcast.stages.check.hanging_string import (
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.common import MM_PER_M
 
+MIN_TRIALS = 3  # that begin at rest: fewer have too few shapes of the string
+# Reported errors of the place, in metres and of the length. Estimates of right marks
+# are within 1 mm, also with wind, heavy tips, and hands that turn too far
+MIN_SHIFT_M = 3e-3
+MIN_SHIFT = 0.01
+MAX_MISFIT = 0.01  # of the length: above it, the fitted shape is not used
+
 MIN_POINTS = 2  # fewer do not distinguish length, stiffness and set
 MIN_TIP_SHARE = 0.99  # of the length: the rod ends at the outermost point
 # In 30 right datasets of chains of masses, the fitted length of the rod has an error of
@@ -21,6 +32,34 @@ MIN_TIP_SHARE = 0.99  # of the length: the rod ends at the outermost point
 # In seven, lengths wrong by 10 mm have at least 2.3 times that misfit.
 MIN_LENGTH_ERROR = 0.02
 MIN_MISFIT_RATIO = 2.0
+
+
+def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
+    """Find marks whose arc length seems to differ from the stated one."""
+    places = set[float]()
+    for trial in dataset.with_points():
+        places |= {*trial.points["s"].round(4)}
+    if not 2 <= len(places) <= MAX_PLACES:
+        return  # more points are a centre-line, measured in the picture
+    measured = measurements_of(dataset)
+    if not {round(s, 4) for s in measured.stated_arc_lengths} <= places:
+        return  # places change in every frame, and points are interpolated
+    resting = find_resting_points(measured)
+    if resting is None or len(resting.hands) < MIN_TRIALS:
+        return
+    stated = [float(name) for name in resting.names]
+    hanging = fit_hanging_string(resting, stated[-1])
+    length = dataset.length
+    if hanging.misfit_m > MAX_MISFIT * length:
+        return
+    for place, found in zip(stated, hanging.arc_lengths.values(), strict=True):
+        if abs(found - place) > max(MIN_SHIFT_M, MIN_SHIFT * length):
+            statement = f"the points at {place:.3f} m hang as if at {found:.3f} m"
+            remedy = (
+                "Measure again how far along the straight string they are, and correct "
+                "s; `import` finds it if no --at is given"
+            )
+            yield warning(dataset.points_file, "s", statement, remedy)
 
 
 def check_resting_length(dataset: CheckedDataset) -> Iterator[Finding]:
