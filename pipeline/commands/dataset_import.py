@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -99,10 +99,11 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
 
     Raises DataError naming an option if it is needed.
     """
-    notes = list(tables.notes)
     grasp = imported_grasp_poses(tables, bench)
-    tables = leave_out_single_frames(tables, notes)
-    points, length = locate_points(tables, bench, notes)
+    tables = leave_out_single_frames(tables)
+    located = locate_points(tables, bench)
+    points, length = located.points, located.length
+    notes = [*tables.notes, *located.notes]
     added_times = {}
     if bench.fit_clock:
         added_times = align_roughly(points, grasp, length)
@@ -127,8 +128,8 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
     )
 
 
-def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> ImportedTables:
-    """Drop the points of trials with only a few frames.
+def leave_out_single_frames(tables: ImportedTables) -> ImportedTables:
+    """Drop and note the points of trials with only a few frames.
 
     Raises DataError if no trial is left.
     """
@@ -143,12 +144,12 @@ def leave_out_single_frames(tables: ImportedTables, notes: list[str]) -> Importe
             f"frame(s) of a trial at most, at least {MIN_FRAMES} are needed: its "
             "motion is unknown. Export the tracker's whole recording."
         )
-    for name, count in short.items():
-        notes.append(
-            f"trial {name} is left out: the string was seen in {count} frame(s) of it"
-        )
+    notes = [
+        f"trial {name} is left out: the string was seen in {count} frame(s) of it"
+        for name, count in short.items()
+    ]
     points = tables.points[~tables.points["trial"].isin(short.index)]
-    return replace(tables, points=points)
+    return replace(tables, points=points, notes=[*tables.notes, *notes])
 
 
 def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
@@ -174,34 +175,51 @@ def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]
     }
 
 
-def locate_points(
-    tables: ImportedTables, bench: BenchHints, notes: list[str]
-) -> tuple[pd.DataFrame, float]:
-    """Return points with arc lengths, and the string's length [m].
+class LocatedPoints(NamedTuple):
+    """Points with arc lengths, and the string's length [m]; notes if inferred."""
 
-    Values that are not stated are measured on the hanging string at rest, and noted.
-    """
+    points: pd.DataFrame
+    length: float
+    notes: Sequence[str] = ()
+
+
+def locate_points(tables: ImportedTables, bench: BenchHints) -> LocatedPoints:
+    """Give points arc lengths: stated ones, or those of the string at rest."""
     points = tables.points
     if points.empty:
-        return POINTS.empty().assign(trial=""), require_length(bench)
+        return LocatedPoints(POINTS.empty().assign(trial=""), require_length(bench))
     refuse_unknown_points(points, bench)
     if "s" in points:
-        length = bench.length or float(points["s"].max())
-        if not bench.length:
-            notes.append(describe_inferred_length(length, "the largest s"))
-        return select_columns(points), length
+        if bench.length:
+            return LocatedPoints(select_columns(points), bench.length)
+        length = float(points["s"].max())
+        note = describe_inferred_length(length, "the largest s")
+        return LocatedPoints(select_columns(points), length, [note])
     names = points["point"].unique()
     if bench.point_arc_lengths:
-        arc_lengths = dict(bench.point_arc_lengths)
+        arc_lengths = bench.point_arc_lengths
         length = bench.length or max(arc_lengths.values())
-    elif len(names) == 1 and bench.length:
-        length = bench.length
-        arc_lengths = {names[0]: length}
-    else:
-        arc_lengths, length = measure_hanging_points(tables, bench, notes)
+        return place_points(points, arc_lengths, length)
+    if len(names) == 1 and bench.length:
+        return place_points(points, {names[0]: bench.length}, bench.length)
+    hanging = measure_hanging_points(tables, bench)
+    length = bench.length or round(hanging.length, 4)
+    # to a tenth of a millimetre, within the string
+    arc_lengths = {n: min(round(s, 4), length) for n, s in hanging.arc_lengths.items()}
+    notes = describe_hanging_points(hanging, arc_lengths, bench)
+    return place_points(points, arc_lengths, length, notes)
+
+
+def place_points(
+    points: pd.DataFrame,
+    arc_lengths: Mapping[str, float],
+    length: float,
+    notes: Sequence[str] = (),
+) -> LocatedPoints:
+    """Keep the points of known arc length [m], with it as column s."""
     known = points[points["point"].isin(list(arc_lengths))]
     known = known.assign(s=known["point"].map(arc_lengths).astype(float))
-    return select_columns(known), length
+    return LocatedPoints(select_columns(known), length, notes)
 
 
 def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
@@ -215,12 +233,10 @@ def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
             )
 
 
-def measure_hanging_points(
-    tables: ImportedTables, bench: BenchHints, notes: list[str]
-) -> tuple[dict[str, float], float]:
-    """Measure arc lengths of points on the hanging string at rest, and note them.
+def measure_hanging_points(tables: ImportedTables, bench: BenchHints) -> HangingString:
+    """Measure arc lengths of points on the string at rest.
 
-    Returns the arc length of each point by its name, and the string's length [m].
+    Raises DataError if they were not seen at rest, or do not hang from the hand.
     """
     measured = measurements_of_tables(tables, bench)
     resting = find_resting_points(measured) if measured else None
@@ -234,21 +250,26 @@ def measure_hanging_points(
     hanging = fit_hanging_string(resting, bench.length)
     if not hanging.is_rod:
         refuse_resting_points(resting, hanging)
-    agreement = describe_hanging_string(hanging)
-    length = bench.length or round(hanging.length, 4)
+    return hanging
+
+
+def describe_hanging_points(
+    hanging: HangingString, arc_lengths: Mapping[str, float], bench: BenchHints
+) -> list[str]:
+    """Describe the length and arc lengths that were measured on the string at rest."""
+    trials = format_count(len(hanging.distances), "trial")
+    misfit = f"{MM_PER_M * hanging.misfit_m:.1f} mm"
+    agreement = f"it hangs at rest, in {trials} {misfit} from a heavy rod"
+    notes = []
     if not bench.length:
-        notes.append(describe_inferred_length(length, agreement))
-    # to a tenth of a millimetre, within the string
-    arc_lengths = {n: min(round(s, 4), length) for n, s in hanging.arc_lengths.items()}
+        notes.append(describe_inferred_length(hanging.length, agreement))
     if len(arc_lengths) > 1:
-        places = []
-        for name, s in arc_lengths.items():
-            places.append(f"{name or 'point'} {s:.3f} m")
+        places = [f"{name or 'point'} {s:.3f} m" for name, s in arc_lengths.items()]
         notes.append(
             f"the points are placed along the string, the last at its end ({agreement})"
             f": {', '.join(places)}. Give their places with --at"
         )
-    return arc_lengths, length
+    return notes
 
 
 def require_length(bench: BenchHints) -> float:
@@ -259,13 +280,6 @@ def require_length(bench: BenchHints) -> float:
             "Measure it from the grasp to the tip, and give it: --length 0.30."
         )
     return bench.length
-
-
-def describe_hanging_string(hanging: HangingString) -> str:
-    """Describe how well points agree with a string hanging at rest."""
-    trials = format_count(len(hanging.distances), "trial")
-    misfit = f"{MM_PER_M * hanging.misfit_m:.1f} mm"
-    return f"it hangs at rest, in {trials} {misfit} from a heavy rod"
 
 
 def refuse_resting_points(resting: RestingPoints, hanging: HangingString) -> None:

@@ -117,7 +117,8 @@ def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, An
             f"it: rm -r {shlex.quote(str(folder))}"
         )
     recordings = read_recordings(options.files)
-    tables, imported, checked = interpret_recordings(recordings, options, console)
+    options, tables, imported = interpret_recordings(recordings, options, console)
+    checked = measure_dataset(imported)
     profile = None
     if imported.added_times and any(checked.with_points()):
         imported, checked, profile = fit_clocks(imported, checked)
@@ -146,11 +147,11 @@ def interpret_recordings(
     recordings: Sequence[SourceRecording],
     options: argparse.Namespace,
     console: Terminal,
-) -> tuple[ImportedTables, ImportedDataset, CheckedDataset]:
+) -> tuple[argparse.Namespace, ImportedTables, ImportedDataset]:
     """Convert recordings, and correct impossible units, directions and clocks.
 
     Corrections are confirmed on a terminal and applied without a question elsewhere.
-    They change `options`.
+    Returns the options with them, the tables and the dataset.
     """
     for _ in range(MAX_CORRECTIONS):
         tables = gather_tables(recordings, read_column_hints(options))
@@ -160,9 +161,9 @@ def interpret_recordings(
         if change is None:
             imported = convert_recordings(tables, bench)
             if not imported.trials_without_common_time:
-                return tables, imported, measure_dataset(imported)
+                return options, tables, imported
             change = propose_clock_fit(imported, options)
-        confirm_change(change, options, console)
+        options = confirm_change(change, options, console)
     raise DataError(
         "The units and directions of these files stay unclear. State them by the "
         "options that import --help lists."
@@ -244,8 +245,8 @@ def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) ->
 
 def confirm_change(
     change: Change, options: argparse.Namespace, console: Terminal
-) -> None:
-    """Apply a change to the options, after confirmation on a terminal.
+) -> argparse.Namespace:
+    """Return the options with a change, after confirmation on a terminal.
 
     Raises DataError if it must be confirmed, but there is no terminal.
     """
@@ -266,7 +267,7 @@ def confirm_change(
     else:
         taken = f"Taken as {option}."
         console.print(taken, highlight=False, markup=False, soft_wrap=True)
-    vars(options).update(vars(options_with(options, change.words)))
+    return options_with(options, change.words)
 
 
 def column_table(tables: ImportedTables) -> Table:
