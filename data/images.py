@@ -119,16 +119,11 @@ class Video(Images):
         return float(self._capture.get(cv2.CAP_PROP_FPS))
 
     def frame_times(self, fps: float) -> np.ndarray:
-        """Return the times of the frames from 0, (F,) [s].
+        """Return the times of the frames from 0, (F,) [s]. fps: as filmed [1/s].
 
         Phones film at an uneven rate and store the display time of each frame. These
         times are scaled so that the median interval matches `fps`, as slow motion is
         displayed at another rate.
-
-        Parameters
-        ----------
-        fps
-            Frame rate as filmed [1/s].
         """
         even = np.arange(len(self)) / fps
         shown = self._shown_times()

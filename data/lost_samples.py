@@ -49,17 +49,8 @@ class LostSamples:
 def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]]:
     """Find points that a tracker held or replaced by a fixed position.
 
-    Parameters
-    ----------
-    points
-        Columns trial, t [s], s, x, y, in the order of trial and time.
-
-    Returns
-    -------
-    is_lost : pandas.Series of bool
-        True for a lost point, by the index of `points`.
-    found : list of LostSamples
-        Lost points by trial and kind.
+    points: columns trial, t [s], s, x, y, in the order of trial and time. Returns True
+    for each lost point, by the index of `points`, and the counts by trial and kind.
     """
     kinds = pd.Series("", index=points.index)  # empty for measured points
     found = []
@@ -86,21 +77,10 @@ def find_lost_points(points: pd.DataFrame) -> tuple[pd.Series, list[LostSamples]
 
 
 def held_mask(xy: np.ndarray, extent: float) -> np.ndarray:
-    """Find samples that repeat the previous one while the point moves.
+    """Find samples (K, 2) that repeat the previous one while the point moves.
 
-    Quantised points at rest also repeat, but do not jump afterwards.
-
-    Parameters
-    ----------
-    xy : (K, 2)
-        Positions of one place in the order of time.
-    extent : float
-        Size of the region in which the string moved.
-
-    Returns
-    -------
-    (K,) bool
-        True for a repetition.
+    Returns (K,) bool. Quantised points at rest also repeat, but do not jump afterwards.
+    extent: size of the region in which the string moved.
     """
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     if len(xy) < MIN_TRACK_SAMPLES or not steps.any():
@@ -133,19 +113,9 @@ def _jumps_when_seen_again(xy: np.ndarray, first: int, last: int, limit: float) 
 
 
 def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
-    """Find samples at one position to which the point jumps repeatedly.
+    """Find samples (K, 2) at one position to which the point jumps repeatedly.
 
-    Parameters
-    ----------
-    xy : (K, 2)
-        Positions of one place in the order of time.
-
-    Returns
-    -------
-    mask : (K,) bool
-        True for a sample at that position.
-    place : str
-        The position, such as `(0, 0)`.
+    Returns a mask (K,), and the position, such as `(0, 0)`.
     """
     nothing = np.zeros(len(xy), dtype=bool), ""
     if len(xy) < MIN_TRACK_SAMPLES:
@@ -180,18 +150,10 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def zero_row_mask(values: np.ndarray) -> np.ndarray:
-    """Find rows of a log that are zero while the hand is elsewhere.
+    """Find rows of a log (K, J) that are zero while the hand is elsewhere, (K,) bool.
 
-    Parameters
-    ----------
-    values : (K, J)
-        Joint angles [rad] or poses in the order of time.
-
-    Returns
-    -------
-    (K,) bool
-        True for a row of zeros with a jump before and after it; a real hand reaches its
-        zero pose in small steps.
+    There is a jump before and after such a row; a real hand reaches its zero pose in
+    small steps.
     """
     mask = np.zeros(len(values), dtype=bool)
     is_zero = (values == 0).all(axis=1)

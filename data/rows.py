@@ -212,21 +212,10 @@ def describe_shared_times(t: np.ndarray, unit: str = "") -> str:
 def unwrap_angles(
     frame: pd.DataFrame, joints: Sequence[str]
 ) -> tuple[pd.DataFrame, dict[str, tuple[str, ...]]]:
-    """Unwrap joint angles that jump by a turn.
+    """Unwrap joint angles [rad] that jump by a turn.
 
-    Parameters
-    ----------
-    frame
-        Rows in the order of trial and time.
-    joints
-        Columns of angles [rad].
-
-    Returns
-    -------
-    frame : pandas.DataFrame
-        The rows with continuous angles.
-    unwrapped : dict
-        The trials whose angles were wrapped, by joint.
+    The rows must be in the order of trial and time. Returns the rows, and the trials
+    whose angles were wrapped, by joint.
     """
     frame = frame.copy()
     unwrapped: dict[str, tuple[str, ...]] = {}
@@ -242,20 +231,7 @@ def unwrap_angles(
 
 
 def spike_mask(t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Find single samples that jump away and back.
-
-    Parameters
-    ----------
-    t : (K,)
-        Increasing times [s].
-    values : (K, J)
-        Continuous values of the samples.
-
-    Returns
-    -------
-    (K,) bool
-        True for a spike.
-    """
+    """Find single samples (K, J) at times (K,) [s] that jump away and back, (K,)."""
     is_spike = np.zeros(len(t), dtype=bool)
     if len(t) < 5:  # needs two samples on each side
         return is_spike

@@ -61,10 +61,8 @@ class ImportedTables:
         and valid if the files have them.
     films
         Video files by trial.
-    used_columns
-        Used columns.
-    unused_columns
-        Unused columns by file.
+    used_columns, unused_columns
+        Columns that were read, and others by file.
     notes
         Decisions of the readers.
     zero_rows
@@ -88,18 +86,9 @@ class ImportedTables:
 
 @dataclass(frozen=True)
 class RecordingParts:
-    """The motion and the points of one recording, in our units.
+    """The hand's motion and the string's points of one recording, if any, in our units.
 
-    Attributes
-    ----------
-    motion
-        The hand's motion; None if the recording has none.
-    points
-        The string's points; None if the recording has none.
-    used_columns
-        The columns that were read.
-    zero_count
-        Number of kept zero rows among others in the motion.
+    zero_count: number of kept zero rows among others in the motion.
     """
 
     motion: pd.DataFrame | None = None

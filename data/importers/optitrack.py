@@ -41,17 +41,10 @@ def recognises(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Heading:
-    """The lines above the numbers.
+    """The lines above the numbers, and how many they are.
 
-    Attributes
-    ----------
-    recording
-        Properties of the recording, such as `Length Units`.
-    kinds, names, quantities, axes
-        For each column: rigid body or marker, its name, position or rotation, and x, y,
-        z or w.
-    line_count
-        Number of heading lines.
+    recording: properties such as `Length Units`. kinds, names, quantities, axes: for
+    each column rigid body or marker, its name, position or rotation, and x, y, z or w.
     """
 
     recording: dict[str, str]
@@ -202,17 +195,10 @@ def is_seen(track: np.ndarray) -> np.ndarray:
 
 
 def find_continued(track: np.ndarray, labelled: Mapping[str, np.ndarray]) -> str | None:
-    """Find the labelled marker that an unlabeled one continues, if any.
+    """Find the labelled marker that an unlabeled track (F, 3) [m] continues, if any.
 
     It is hidden while the other is seen, much nearer to it than the next marker, and
-    moves no farther than usual in such a gap.
-
-    Parameters
-    ----------
-    track
-        Positions (F, 3) [m] of the unlabeled marker, NaN if not seen.
-    labelled
-        Positions of the labelled markers, by name.
+    moves no farther than usual in such a gap. Positions are NaN if not seen.
     """
     rows = np.flatnonzero(is_seen(track))
     distances = {}

@@ -176,7 +176,7 @@ def build_estimate(
     }
     numbered = {"draw": np.arange(len(draws))}
     return Estimate(
-        PARAMETERS.check(_parameter_table(parameters, pair[1], after, interval)),
+        parameter_table(parameters, after, interval),
         CANDIDATES.check(pd.DataFrame(tried | _value_columns(parameters, search.chi))),
         MATCHING.check(comparison.matching),
         ESTIMATION_SUMMARY.check(pd.DataFrame([fit])),
@@ -358,18 +358,16 @@ def describe_bad_fit(rate: float, rms: float, length: float) -> str:
     )
 
 
-def _parameter_table(
-    parameters: Sequence[Parameter],
-    value: np.ndarray,
-    chi: np.ndarray,
-    interval: Interval,
+def parameter_table(
+    parameters: Sequence[Parameter], chi: np.ndarray, interval: Interval
 ) -> pd.DataFrame:
-    low, high = parameter_values(parameters, np.stack([interval.low, interval.high]))
+    """Build table PARAMETERS of parameters with exponents (P,)."""
+    ends = np.stack([chi, interval.low, interval.high])
+    value, low, high = parameter_values(parameters, ends)
     described = pd.DataFrame([asdict(parameter) for parameter in parameters])
     described = described.rename(columns={"low": "minimum", "high": "maximum"})
-    return described[
-        ["name", "symbol", "unit", "meaning", "minimum", "maximum"]
-    ].assign(
+    described = described[["name", "symbol", "unit", "meaning", "minimum", "maximum"]]
+    table = described.assign(
         value=value,
         low=low,
         high=high,
@@ -377,6 +375,7 @@ def _parameter_table(
         at_bound=~within_range(chi, interval.low, interval.high),
         determined=interval.determined,
     )
+    return PARAMETERS.check(table)
 
 
 def _value_columns(

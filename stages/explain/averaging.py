@@ -14,10 +14,12 @@ import pandas as pd
 
 from stringcast.data.estimates import Estimate
 from stringcast.data.explanations import EXPLANATION_SUMMARY, EXPLANATIONS, Explanation
+from stringcast.stages.estimate.result import Interval, parameter_table
 from stringcast.stages.explain.comparison import Causes, tip_rms_m
 from stringcast.stages.explain.decision import MIXED_PROBABILITY, Evidence
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
+from stringcast.stages.model.parameter import parameter_exponents
 
 
 def estimate_without_causes(estimate: Estimate, reason: str) -> Explanation:
@@ -85,32 +87,20 @@ def with_absent_effects(
 ) -> Estimate:
     """Add the parameters of effects that an estimate does not have, as absent."""
     known = set(estimate.parameters["name"])
-    rows = [estimate.parameters]
-    candidates = estimate.candidates
-    for effect in find_effects(names):
-        if known >= {effect.qualified_name(p) for p in effect.parameters}:
-            continue
-        extended = model.with_effects(effect)
-        for parameter in extended.parameters:
-            if parameter.name in known:
-                continue
-            row = {
-                "name": parameter.name,
-                "symbol": parameter.symbol,
-                "unit": parameter.unit,
-                "meaning": parameter.meaning,
-                "value": parameter.start,
-                "low": np.nan,
-                "high": np.nan,
-                "minimum": parameter.low,
-                "maximum": parameter.high,
-                "chi": float(parameter.chi(np.asarray(parameter.start))),
-                "at_bound": False,
-                "determined": False,
-            }
-            rows.append(pd.DataFrame([row]))
-            candidates = candidates.assign(**{parameter.name: parameter.start})
-    parameters = pd.concat(rows, ignore_index=True)
+    added = [effect for effect in find_effects(names) if effect not in model.effects]
+    extended = model.with_effects(*added)
+    absent = [p for p in extended.parameters if p.name not in known]
+    if not absent:
+        return estimate
+    starts = np.array([parameter.start for parameter in absent])
+    unknown = np.full(len(absent), np.nan)
+    interval = Interval(unknown, unknown, np.zeros(len(absent), dtype=bool), "")
+    table = parameter_table(absent, parameter_exponents(absent, starts), interval)
+    # exact starts, because an effect is absent at exactly zero
+    table = table.assign(value=starts, at_bound=False)
+    parameters = pd.concat([estimate.parameters, table], ignore_index=True)
+    columns = dict(zip(table["name"], starts, strict=True))
+    candidates = estimate.candidates.assign(**columns)
     return replace(estimate, parameters=parameters, candidates=candidates)
 
 
