@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +64,7 @@ def main(arguments: list[str]) -> int:
             "Name the folder of another run, or of a step: "
             f"iterations/<number>/<one of {folders}>."
         )
-    for name in sorted(names, key=lambda name: Path(name).parent):
+    for name in names:
         state, reasons = states[name]
         if state == FRESH_STEP[0] and store.images_not_kept(folder / name):
             state += "; its frames were not kept"
@@ -82,21 +81,21 @@ def step_states(
     as missing.
     """
     makers = {stages()[name].folder: name for name in graph.stages}
+    order = [*makers]
     places = step_folders(folder)
-    inputs = step_inputs(places)
-    try:
-        ordered = [*TopologicalSorter(inputs).static_order()]
-    except CycleError as error:
-        raise DataError(
-            f"{folder}: by their footers, {' and '.join(error.args[1][1:])} were made "
-            "from each other. Remove them, and make them again."
-        ) from error
+
+    def position(name: str) -> tuple[int, int]:
+        """Return iteration and place in it: inputs are made before."""
+        place = places[name]
+        stage = order.index(place.name) if place.name in order else len(order)
+        return int(place.parent.name), stage
+
     states: dict[str, StepState] = {}
-    for name in ordered:
+    for name in sorted(places, key=position):
         place = places[name]
         reasons = stale_reasons(folder, place, settings)
-        for path in inputs[name]:
-            if states[path][0] == STALE_STATE:
+        for path in step_inputs(place):
+            if states.get(path, FRESH_STEP)[0] == STALE_STATE:
                 reasons += (f"{path}, an input, is stale",)
         states[name] = FRESH_STEP
         if reasons:
@@ -124,16 +123,12 @@ def step_folders(folder: Path) -> dict[str, Path]:
     return places
 
 
-def step_inputs(places: Mapping[str, Path]) -> dict[str, list[str]]:
-    """Return the input steps of each step, from the footers of tables."""
-    inputs = {}
-    for name, place in places.items():
-        try:
-            paths = store.read_origin(place).get("inputs", {})
-        except (DataError, *store.READ_ERRORS):
-            paths = {}
-        inputs[name] = [path for path in paths if path in places]
-    return inputs
+def step_inputs(place: Path) -> list[str]:
+    """Return the inputs of a step, from the footers of its tables."""
+    try:
+        return [*store.read_origin(place).get("inputs", {})]
+    except (DataError, *store.READ_ERRORS):
+        return []
 
 
 def missing_step(settings: Mapping[str, Any], folder: Path, number: int) -> Path | None:

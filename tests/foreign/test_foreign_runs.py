@@ -256,14 +256,6 @@ def test_repeated_parameter_gives_one_error(run, tmp_path):
         load_command("export")([str(run), str(tmp_path / "string.csv")])
 
 
-def test_circular_steps_give_one_error(run):
-    inputs = {"inputs": {"iterations/01/estimate": "a"}}
-    for table in (run / "iterations/01/points").glob("*.parquet"):
-        rewrite_origin(table, lambda origin: json.dumps(origin | inputs))
-    with pytest.raises(DataError, match="were made from each other"):
-        load_command("why")([str(run)])
-
-
 def test_folders_that_are_not_iterations_are_ignored(run):
     (run / "iterations/01").rename(run / "iterations/xx")
     with pytest.raises(UserError, match="no step"):
