@@ -8,29 +8,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import jinja2
+
 from stringcast.data.store import write_text
 from stringcast.pipeline.cli.terminal import Terminal, program_name
 from stringcast.pipeline.commands import CommandParser
-from stringcast.pipeline.commands.new_templates import (
-    EFFECT_TEMPLATE,
-    ESTIMATOR_SETTINGS_TEMPLATE,
-    ESTIMATOR_TEMPLATE,
-    FUNCTION_TEMPLATE,
-    SETTINGS_TEMPLATE,
-    STAGE_TEMPLATE,
-)
 from stringcast.pipeline.settings.composition import CONF_FOLDER, UserError
 from stringcast.pipeline.settings.stage_registry import stages
 from stringcast.stages.plugins import NAME_PATTERN
 
 DEFAULT_PLUGIN = Path("my_lab")
+TEMPLATES = Path(__file__).with_name("new_templates")
 
 
 class Kind(NamedTuple):
     """A kind of files that `new` writes.
 
-    files: templates by path within the plugin. example: arguments of a run with them.
-    places: where the package may use the name.
+    files: templates of Jinja by path within the plugin. example: arguments of a run
+    with them. places: where the package may use the name.
     """
 
     files: Mapping[str, str]
@@ -42,8 +37,13 @@ def copied_settings(group: str, like: str) -> str:
     """Return the template of an option of a group, as a copy of another option."""
     text = (CONF_FOLDER / group / f"{like}.yaml").read_text(encoding="utf-8")
     settings = [line for line in text.splitlines() if not line.startswith("#")]
-    literal = "\n".join(settings).replace("{", "{{").replace("}", "}}")
-    return f"# {{name}}: a copy of {like}. Change what is different.\n{literal}\n"
+    heading = f"# {{{{ name }}}}: a copy of {like}. Change what is different."
+    return "\n".join([heading, *settings, ""])
+
+
+def read_template(name: str) -> str:
+    """Return the template of a file."""
+    return (TEMPLATES / f"{name}.j2").read_text(encoding="utf-8")
 
 
 KINDS = {
@@ -58,23 +58,23 @@ KINDS = {
         ["conf/camera/{name}.yaml"],
     ),
     "effect": Kind(
-        {"effects/{name}.py": EFFECT_TEMPLATE},
+        {"effects/{name}.py": read_template("effect.py")},
         "+experiment=quick 'effects=[{name}]' estimate=least_squares",
         ["stages/model/effects/{name}.py"],
     ),
     "estimator": Kind(
         {
-            "estimate/{name}.py": ESTIMATOR_TEMPLATE,
-            "conf/estimate/{name}.yaml": ESTIMATOR_SETTINGS_TEMPLATE,
+            "estimate/{name}.py": read_template("estimator.py"),
+            "conf/estimate/{name}.yaml": read_template("estimator.yaml"),
         },
         "+experiment=quick estimate={name}",
         ["conf/estimate/{name}.yaml"],
     ),
     "stage": Kind(
         {
-            "stages/{name}/__init__.py": STAGE_TEMPLATE,
-            "stages/{name}/{name}.py": FUNCTION_TEMPLATE,
-            "conf/{name}/plain.yaml": SETTINGS_TEMPLATE,
+            "stages/{name}/__init__.py": read_template("stage.py"),
+            "stages/{name}/{name}.py": read_template("stage_function.py"),
+            "conf/{name}/plain.yaml": read_template("stage.yaml"),
         },
         "+{name}=plain mode=batch mode.stage={name} trials=data/sample",
         ["stages/{name}", "conf/{name}"],
@@ -116,10 +116,13 @@ def fill_templates(kind: str, name: str, plugin: str) -> dict[str, str]:
     """Return the texts of the files of a kind, by path within the plugin."""
     class_name = "".join(part.capitalize() for part in name.split("_"))
     words = {"name": name, "Name": class_name, "plugin": plugin}
-    return {
-        path.format(**words): template.format(**words)
-        for path, template in KINDS[kind].files.items()
-    }
+    templates = jinja2.Environment(
+        undefined=jinja2.StrictUndefined, keep_trailing_newline=True
+    )
+    texts = {}
+    for path, template in KINDS[kind].files.items():
+        texts[path.format(name=name)] = templates.from_string(template).render(words)
+    return texts
 
 
 def refuse_odd_names(name: str, plugin: Path) -> None:
