@@ -40,7 +40,8 @@ MAX_WRAPPED_RANGE_RAD = 2 * np.pi + 0.01  # a turn plus rounding
 class RowCounts:
     """Counts of a file's rows.
 
-    total: rows in the file. dropped: unusable rows by reason. unordered: rows earlier
+    total: rows in the file. dropped: unusable rows by reason. columns: those with
+    unusable values. unordered: rows earlier
     than the previous row of the same trial and point. lost: points written by a tracker
     without a detection; also dropped. timeless: trials whose times are not those of
     single rows, with the reason. unwrapped: trials with wrapped angles, by joint.
@@ -48,6 +49,7 @@ class RowCounts:
 
     total: int
     dropped: Mapping[str, int] = field(default_factory=dict)
+    columns: tuple[str, ...] = ()
     unordered: int = 0
     lost: tuple[LostSamples, ...] = ()
     timeless: Mapping[str, str] = field(default_factory=dict)
@@ -98,12 +100,18 @@ class RowFilter:
     def __init__(self, frame: pd.DataFrame) -> None:
         self.frame = frame
         self.dropped: dict[str, int] = {}
+        self.columns: list[str] = []
 
-    def drop(self, reason: str, is_bad: pd.Series) -> None:
-        """Drop the rows of the present frame where `is_bad` is true."""
+    def drop(self, reason: str, is_bad: pd.Series, column: str = "") -> None:
+        """Drop the rows of the present frame where `is_bad` is true.
+
+        column: the one with unusable values, if it is one.
+        """
         if is_bad.any():
             self.dropped[reason] = int(is_bad.sum())
             self.frame = self.frame[~is_bad]
+            if column and column not in self.columns:
+                self.columns.append(column)
 
 
 def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCounts]:
@@ -138,7 +146,13 @@ def clean_rows(table: Table, frame: pd.DataFrame) -> tuple[pd.DataFrame, RowCoun
     if table.name == ARM.name:
         rows.frame, unwrapped = unwrap_angles(rows.frame, numbers)
     counts = RowCounts(
-        len(frame), rows.dropped, unordered, tuple(lost), timeless, unwrapped
+        total=len(frame),
+        dropped=rows.dropped,
+        columns=tuple(rows.columns),
+        unordered=unordered,
+        lost=tuple(lost),
+        timeless=timeless,
+        unwrapped=unwrapped,
     )
     return rows.frame, counts
 
@@ -148,19 +162,21 @@ def _drop_impossible_values(
 ) -> None:
     """Drop rows with missing required texts or impossible numbers."""
     for name in texts:
-        rows.drop(f"no {name}", rows.frame[name].isna())
+        rows.drop(f"no {name}", rows.frame[name].isna(), name)
     for name in numbers:
-        rows.drop(f"{name} is not a finite number", ~np.isfinite(rows.frame[name]))
+        is_infinite = ~np.isfinite(rows.frame[name])
+        rows.drop(f"{name} is not a finite number", is_infinite, name)
         largest = MAX_TIME_S if name == "t" else MAX_VALUE
-        rows.drop(f"{name} is beyond {largest:.0e}", rows.frame[name].abs() > largest)
+        is_beyond = rows.frame[name].abs() > largest
+        rows.drop(f"{name} is beyond {largest:.0e}", is_beyond, name)
     if "s" in numbers:
-        rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M)
+        rows.drop("s is below 0", rows.frame["s"] < -ARC_LENGTH_ROUNDING_M, "s")
     if "sigma" in rows.frame:
         sigma = rows.frame["sigma"]
         is_positive = np.isfinite(sigma) & (sigma > 0)
-        rows.drop("sigma is not a number above 0", ~is_positive)
+        rows.drop("sigma is not a number above 0", ~is_positive, "sigma")
         is_tiny = rows.frame["sigma"] < MIN_SIGMA_M
-        rows.drop(f"sigma is below {MIN_SIGMA_M:.0e} m", is_tiny)
+        rows.drop(f"sigma is below {MIN_SIGMA_M:.0e} m", is_tiny, "sigma")
 
 
 def _hand_spikes(frame: pd.DataFrame, columns: Sequence[str]) -> pd.Series:

@@ -22,7 +22,6 @@ from stringcast.data.metadata import (
     TrialBlock,
 )
 from stringcast.data.rows import RowCounts
-from stringcast.data.table_files import with_trial
 from stringcast.stages.check.consistency.check import (
     impossible_trials,
     unknown_arm_fields,
@@ -62,7 +61,7 @@ def check_rows(dataset: CheckedDataset) -> Iterator[Finding]:
 
 
 def _dropped_rows(file: str, rows: RowCounts) -> Finding:
-    """Describe rows that are left out, with the columns named by the reasons."""
+    """Describe rows that are left out."""
     lost = sum(rows.dropped.values())
     reasons = [f"{count}: {reason}" for reason, count in rows.dropped.items()]
     statement = f"{lost} of {rows.total} rows are left out ({'; '.join(reasons)})"
@@ -71,13 +70,8 @@ def _dropped_rows(file: str, rows: RowCounts) -> Finding:
         report = error
         statement = f"{statement}: too few are left to show anything"
 
-    tables = [with_trial(table) for table in (ARM, GRASP, POINTS)]
-    columns = {column.name for table in tables for column in table.columns}
-    words = [word for reason in rows.dropped for word in reason.split()[:2]]
-    named = [word for word in dict.fromkeys(words) if word in columns]
-    return report(
-        file, ", ".join(named), statement, "Correct them if they should count"
-    )
+    remedy = "Correct them if they should count"
+    return report(file, ", ".join(rows.columns), statement, remedy)
 
 
 def check_empty_tables(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -14,16 +14,6 @@ from stringcast.stages.plugins import PLUGINS_VARIABLE
 from tests.faults.toy import toy_experiment, toy_run
 
 
-@pytest.mark.parametrize(
-    ("name", "folder"), [("Foo-Bar", "lab"), ("fine", "bad name"), ("1", "lab")]
-)
-def test_new_refuses_names_that_are_no_modules(name, folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(UserError, match="small letters, digits and _"):
-        load_command("new")(["effect", name, "--to", folder])
-    assert not [*tmp_path.iterdir()]
-
-
 def test_why_reports_a_run_without_steps(tmp_path):
     settings = compose_settings(["+experiment=diagnose", "trials=data/sample"])
     (tmp_path / "config.json").write_text(json.dumps(settings))

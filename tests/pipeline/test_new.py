@@ -88,13 +88,13 @@ def test_names_of_the_package_are_refused(kind, name, tmp_path):
 
 
 def test_invalid_package_folder_is_refused():
-    with pytest.raises(UserError, match=r"Try: .* new arm mine --to my_lab$"):
+    with pytest.raises(UserError, match="My-Lab: a name consists of small letters"):
         new.main(["arm", "mine", "--to", "My-Lab"])
 
 
 @pytest.mark.parametrize("name", ["My Arm", "1st", "class", "../up"])
 def test_invalid_name_is_answered_with_a_valid_one(name):
-    with pytest.raises(UserError, match=r"Try: .* new arm [a-z_]+ --to my_lab$"):
+    with pytest.raises(UserError, match="a name consists of small letters"):
         new.main(["arm", name])
 
 
