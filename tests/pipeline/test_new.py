@@ -93,7 +93,7 @@ def test_invalid_package_folder_is_refused():
 
 
 @pytest.mark.parametrize("name", ["My Arm", "1st", "class", "../up"])
-def test_invalid_name_is_answered_with_a_valid_one(name):
+def test_invalid_name_is_refused(name):
     with pytest.raises(UserError, match="a name consists of small letters"):
         new.main(["arm", name])
 
