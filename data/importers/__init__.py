@@ -12,9 +12,9 @@ from pathlib import Path
 import pandas as pd
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SourceRecording:
-    """The content of a foreign file.
+    """The content of a foreign file; compared by identity.
 
     file: the source. table: columns of numbers or texts, one row per sample; empty for
     a film. name: trial name, if a file holds several recordings. film: the video file,

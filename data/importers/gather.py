@@ -61,6 +61,8 @@ class ImportedTables:
         and valid if the files have them.
     films
         Video files by trial.
+    hints
+        The user's description of the files.
     used_columns, unused_columns
         Columns that were read, and others by file.
     notes
@@ -72,6 +74,7 @@ class ImportedTables:
     motion: pd.DataFrame
     points: pd.DataFrame
     films: Mapping[str, Path]
+    hints: ColumnHints
     used_columns: Sequence[UsedColumn]
     unused_columns: Mapping[Path, Sequence[str]]
     notes: Sequence[str] = ()
@@ -126,7 +129,7 @@ def gather_tables(
     names |= _trial_names([*(recording for recording, _ in point_parts), *films])
     motion = _join_parts(motion_parts, names)
     points = _join_parts(point_parts, names)
-    film_of = {names[id(r)]: r.film for r in films if r.film is not None}
+    film_of = {names[r]: r.film for r in films if r.film is not None}
     used_columns, unused_columns = _list_used_columns(parts)
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
@@ -135,6 +138,7 @@ def gather_tables(
         motion=motion,
         points=points,
         films=film_of,
+        hints=hints,
         used_columns=used_columns,
         unused_columns=unused_columns,
         notes=notes,
@@ -316,15 +320,17 @@ def _read_parts(recording: SourceRecording, hints: ColumnHints) -> RecordingPart
     return RecordingParts(motion, points, reader.used_columns, zero_count)
 
 
-def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
-    """Name the trials of recordings of one kind, by the recording's id.
+def _trial_names(
+    recordings: Sequence[SourceRecording],
+) -> dict[SourceRecording, str]:
+    """Name the trials of recordings of one kind.
 
     The name is the differing part of the file names: robot_07.csv and tracker_07.csv
     belong to trial t07.
     """
     stems = [recording.name or recording.file.stem for recording in recordings]
     if len({*stems}) < 2:
-        return {id(recording): trial_name("00") for recording in recordings}
+        return dict.fromkeys(recordings, trial_name("00"))
     # do not cut numbers
     prefix = commonprefix(stems).rstrip("0123456789")  # noqa: RUF071
     reversed_stems = [stem[::-1] for stem in stems]
@@ -334,7 +340,7 @@ def _trial_names(recordings: Sequence[SourceRecording]) -> dict[int, str]:
     names = {}
     for recording, stem in zip(recordings, stems, strict=True):
         name = stem[len(prefix) : len(stem) - len(suffix)]
-        names[id(recording)] = trial_name(name)
+        names[recording] = trial_name(name)
     return names
 
 
@@ -350,13 +356,14 @@ def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:
 
 
 def _join_parts(
-    parts: Sequence[tuple[SourceRecording, pd.DataFrame]], names: Mapping[int, str]
+    parts: Sequence[tuple[SourceRecording, pd.DataFrame]],
+    names: Mapping[SourceRecording, str],
 ) -> pd.DataFrame:
     """Join parts to one table with a column of trial names."""
     if not parts:
         return pd.DataFrame()
     frames = []
     for recording, part in parts:
-        trial = part["trial"].replace("", names[id(recording)])
+        trial = part["trial"].replace("", names[recording])
         frames.append(part.assign(trial=trial))
     return pd.concat(frames, ignore_index=True)

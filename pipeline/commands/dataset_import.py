@@ -37,14 +37,11 @@ from stringcast.stages.check.hanging_string import (
 from stringcast.stages.check.measured import CheckedTrial
 from stringcast.stages.clock.windows import possible_windows
 from stringcast.stages.common import MM_PER_M
-from stringcast.stages.model.arm import Arm
 from stringcast.stages.report.formatting import format_count
 
 # joints of an arm in our format; other arms are stored as hand poses
 FORMAT_JOINTS = 3
 MIN_FRAMES = 5  # of a trial; fewer show no motion
-# placeholder of the arm if hand poses are given
-UNUSED_ARM = Arm((1.0,), (0.0, 0.0), (-1.0,), (1.0,), (1.0,), (1.0,), 1.0, 0.005)
 METADATA_HEADER = """\
 # Written by `import`. All is in metres, seconds, radians and kilograms.
 # What each name means: data/README.md.
@@ -116,7 +113,7 @@ def convert_recordings(tables: ImportedTables, bench: BenchHints) -> ImportedDat
         hand_table, hand_rows = ARM, tables.motion[["trial", "t", *tables.joints]]
         metadata["arm"] = {"links": list(bench.links), "base": list(bench.base)}
     if tables.films:
-        metadata["camera"] = camera_metadata(tables, bench)
+        metadata["camera"] = camera_metadata(tables)
     if bench.clock_error:
         metadata["clock"] = {"low": -bench.clock_error, "high": bench.clock_error}
     if bench.geometry_is_measured:
@@ -152,24 +149,25 @@ def leave_out_single_frames(tables: ImportedTables) -> ImportedTables:
     return replace(tables, points=points, notes=[*tables.notes, *notes])
 
 
-def camera_metadata(tables: ImportedTables, bench: BenchHints) -> dict[str, Any]:
+def camera_metadata(tables: ImportedTables) -> dict[str, Any]:
     """Return the block `camera` for films; raise DataError for a missing option."""
+    hints = tables.hints
     facts = {
-        "--fps 240": bench.fps,
-        "--px-per-m 340": bench.px_per_m,
-        "--origin-px 251.5,387.5": bench.origin_px,
+        "--fps 240": hints.fps,
+        "--px-per-m 340": hints.px_per_m,
+        "--origin-px 251.5,387.5": hints.origin_px,
     }
     missing = [option for option, value in facts.items() if not value]
-    if missing or bench.origin_px is None:
+    if missing or hints.origin_px is None:
         raise DataError(
             "a film is of no use without its frame rate, scale and origin. "
             f"Give those of your camera, as in {' '.join(missing)}."
         )
     height, width = Video(next(iter(tables.films.values())))[0].shape
     return {
-        "fps": bench.fps,
-        "px_per_m": bench.px_per_m,
-        "origin_px": list(bench.origin_px),
+        "fps": hints.fps,
+        "px_per_m": hints.px_per_m,
+        "origin_px": list(hints.origin_px),
         "width": width,
         "height": height,
     }
@@ -342,7 +340,7 @@ def align_roughly(
                 MASKS.empty(),
                 grasp=hands[name].drop(columns="trial").sort_values("t"),
             )
-            trials.append(CheckedTrial(observation, UNUSED_ARM, length))
+            trials.append(CheckedTrial(observation, None, length))
     if not trials:
         raise DataError(
             "--clock fit: clocks are aligned by points of the string, and no trial has "

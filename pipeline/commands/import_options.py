@@ -297,9 +297,6 @@ def read_bench_hints(options: argparse.Namespace) -> BenchHints:
         geometry_is_measured=options.geometry_measured,
         starts_moving=options.moving,
         hand_turn=radians(options.turn),
-        fps=options.fps,
-        px_per_m=options.px_per_m,
-        origin_px=options.origin_px,
     )
 
 

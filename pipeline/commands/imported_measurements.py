@@ -46,8 +46,6 @@ class BenchHints:
         Whether the string moves when trials begin.
     hand_turn
         Angle added to the hand's direction [rad].
-    fps, px_per_m, origin_px
-        Frame rate [1/s], scale [px/m] and origin [px] of films.
     """
 
     length: float | None = None
@@ -59,9 +57,6 @@ class BenchHints:
     geometry_is_measured: bool = False
     starts_moving: bool = False
     hand_turn: float = 0.0
-    fps: float | None = None
-    px_per_m: float | None = None
-    origin_px: tuple[float, float] | None = None
 
 
 def measurements_of_tables(

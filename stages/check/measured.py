@@ -51,10 +51,13 @@ MAX_LOST_SHARE = 0.8  # of the rows: with more, motion is not checked
 
 @dataclass(frozen=True)
 class CheckedTrial:
-    """A trial with derived quantities; length is the string's [m]."""
+    """A trial with derived quantities.
+
+    arm: it may be None if poses were measured. length: of the string [m].
+    """
 
     observation: Observation
-    arm: Arm
+    arm: Arm | None
     length: float
 
     @property
@@ -103,6 +106,7 @@ class CheckedTrial:
     def pose(self) -> np.ndarray:
         """Pose of the grasp (K, 3): x [m], y [m], theta [rad]."""
         if self.joints is not None:
+            assert self.arm is not None
             return self.arm.grasp_pose(self.joints)
         return np.asarray(self.motion[["x", "y", "theta"]])
 

@@ -16,6 +16,7 @@ from stringcast.data import dataset
 from stringcast.data.importers.columns import ColumnMeaning, column_meaning
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import gather_tables
+from stringcast.data.importers.reader import ColumnHints
 from stringcast.data.schema import DataError
 from stringcast.pipeline.commands.dataset_import import (
     convert_recordings,
@@ -329,22 +330,18 @@ def test_dataset_holds_the_film_and_its_camera(sample, tmp_path):
         writer.write(np.zeros((48, 64, 3), np.uint8))
     writer.release()
     robots, _ = logs(tmp_path, sample[:1])
-    hints = BenchHints(
-        length=0.3,
-        links=(0.25, 0.2, 0.135),
-        fps=200.0,
-        px_per_m=100.0,
-        origin_px=(32.0, 24.0),
-    )
-    tables = read(*robots, tmp_path / "film.mp4")
-    write_dataset(convert_recordings(tables, hints), tmp_path / "mine", robots, "")
+    bench = BenchHints(length=0.3, links=(0.25, 0.2, 0.135))
+    recordings = read_recordings([*robots, tmp_path / "film.mp4"])
+    hints = ColumnHints(fps=200.0, px_per_m=100.0, origin_px=(32.0, 24.0))
+    tables = gather_tables(recordings, hints)
+    write_dataset(convert_recordings(tables, bench), tmp_path / "mine", robots, "")
     assert (tmp_path / "mine" / "videos" / "t00.mp4").read_bytes() == (
         tmp_path / "film.mp4"
     ).read_bytes()
     camera = yaml.safe_load((tmp_path / "mine" / "dataset.yaml").read_text())["camera"]
     assert (camera["width"], camera["height"], camera["fps"]) == (64, 48, 200.0)
     with pytest.raises(DataError, match=r"--fps 240 --px-per-m 340 --origin-px"):
-        convert_recordings(tables, BenchHints(length=0.3, links=(0.25, 0.2, 0.135)))
+        convert_recordings(gather_tables(recordings, ColumnHints()), bench)
 
 
 T = np.arange(5) / 100

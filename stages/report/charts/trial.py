@@ -104,7 +104,7 @@ def _draw_plane(axes: Axes, seen: CheckedTrial, t: np.ndarray, tip: np.ndarray) 
 
 def _arm_at(seen: CheckedTrial, t: float) -> np.ndarray:
     """Return the joint positions [m], or the hand's if only the hand was measured."""
-    if seen.joints is None:
+    if seen.joints is None or seen.arm is None:
         return seen.hand_at(t)[None]
     return seen.arm.joint_positions(interpolate_rows(t, seen.hand_t, seen.joints))
 
