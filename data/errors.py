@@ -22,8 +22,12 @@ REMEDIES = {
 class ExpectedError(Exception):
     """An error that the user can correct.
 
-    The message has the form `place: fault. Remedy.` The place is a file or an option.
-    field: column, key or line at fault; empty if it is none or unknown.
+    Parameters
+    ----------
+    message : str
+        Such as `place: fault. Remedy.` The place is a file or an option.
+    field : str
+        Column, key or line at fault; empty if it is none or unknown.
     """
 
     def __init__(self, message: str, field: str = "") -> None:
