@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.stages.generate.curves import Curves
+from stringcast.stages.generate.mesh_correction import MeshCorrection
 from stringcast.stages.generate.repeated_misfit import RepeatedMisfit
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.box import Box
@@ -35,12 +36,14 @@ class CastTask:
     obstacles : boxes that the arm may not touch at all, and the string not before it
         hits
     misfit : misfit of the last cast, which similar motions repeat; None if unknown
+    mesh : correction for the error of the mesh; None if parameters compensate for it
     """
 
     model: Model
     target: Target
     obstacles: Sequence[Box]
     misfit: RepeatedMisfit | None = None
+    mesh: MeshCorrection | None = None
 
 
 @dataclass(frozen=True)
@@ -201,12 +204,21 @@ def simulate_motions(
     repeated = samples.select(np.tile(np.arange(len(samples)), len(curves.duration)))
     simulated = model.simulate_string(motion, repeated.values, times).points
     share = model.string.arc_lengths() / model.string.length
-    errors = tip_errors(task.misfit, curves, samples.tip_sigma, samples.tip_normal)
+    sigma: float | np.ndarray = samples.tip_sigma
+    mesh_error = np.zeros(1)
+    if task.mesh is not None:
+        mesh_error, uncertainty = task.mesh.tip_errors(model, curves)
+        mesh_error = mesh_error.repeat(len(samples), axis=0)  # (M K, T, 2)
+        sigma = np.hypot(sigma, uncertainty)
+    errors = mesh_error + tip_errors(task.misfit, curves, sigma, samples.tip_normal)
     return SimulatedMotions(curves, samples, motion.angles, simulated, share, errors)
 
 
 def tip_errors(
-    misfit: RepeatedMisfit | None, curves: Curves, sigma: float, normal: np.ndarray
+    misfit: RepeatedMisfit | None,
+    curves: Curves,
+    sigma: float | np.ndarray,
+    normal: np.ndarray,
 ) -> np.ndarray:
     """Return errors of the simulated tip on M motions under K samples, (M K, T, 2) [m].
 
@@ -220,19 +232,24 @@ def tip_errors(
         Misfit of the last cast.
     curves : Curves
         M motions.
-    sigma : float
+    sigma : float or (M, T, 2) array
         Least error of a coordinate [m].
     normal : (K, 2) array
         The random error of each sample in units of its sigma.
     """
+    motions = len(curves.duration)
+    sigma = np.atleast_3d(sigma)  # (M, T, 2), or (1, 1, 1)
     normal = normal[:, None]  # (K, 1, 2)
     if misfit is None:
-        return np.tile(sigma * normal, (len(curves.duration), 1, 1))
+        errors = sigma[:, None] * normal  # (M or 1, K, T or 1, 2)
+        errors = np.broadcast_to(errors, (motions, *errors.shape[1:]))
+        return errors.reshape(-1, *errors.shape[2:])
     correlation = misfit.correlation(curves, float(curves.duration.max()))
     repeated = correlation[..., None] * misfit.tip_at_ticks(correlation.shape[1])
     largest = misfit.sigma_at_ticks(correlation.shape[1])
-    spread = np.maximum(largest, sigma) * np.sqrt(1 - correlation**2)  # (M, T)
-    errors = repeated[:, None] + spread[:, None, :, None] * normal  # (M, K, T, 2)
+    unexplained = np.sqrt(1 - correlation**2)[..., None]
+    spread = np.maximum(largest[:, None], sigma) * unexplained  # (M, T, 2)
+    errors = repeated[:, None] + spread[:, None] * normal  # (M, K, T, 2)
     return np.asarray(errors.reshape(-1, *errors.shape[2:]))
 
 

@@ -55,6 +55,7 @@ def predictive_sd(
         fails.
     """
     sigma = max(MIN_SIGMA_M, samples.tip_sigma)
+    task = replace(task, mesh=None)  # the same for all strings
     # without arm and tip errors: with few samples they would correlate with parameters
     strings = replace(
         samples,

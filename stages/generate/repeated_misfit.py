@@ -9,7 +9,7 @@ repeats a motion for the same reason.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,11 @@ class RepeatedMisfit:
     times: np.ndarray
     tip: np.ndarray
     similarity: float
+
+    def without_mesh_error(self, estimate: Estimate) -> RepeatedMisfit:
+        """Remove the error of the mesh in the last cast, as the estimate states it."""
+        subtracted = estimate.misfit[["mesh_x", "mesh_y"]].to_numpy()
+        return replace(self, tip=self.tip + subtracted)
 
     def correlation(self, curves: Curves, until: float) -> np.ndarray:
         """Compute the correlation of M motions' misfits with the last, (M, K) at ticks.

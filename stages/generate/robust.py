@@ -32,6 +32,7 @@ from stringcast.stages.generate.hit_probability import (
     simulate_motions,
 )
 from stringcast.stages.generate.learning import predictive_sd
+from stringcast.stages.generate.mesh_correction import MeshCorrection
 from stringcast.stages.generate.prospects import (
     UNLIKELY_HIT,
     describe_prospects,
@@ -49,6 +50,7 @@ from stringcast.stages.generate.uncertainty_samples import (
     stratified_uniforms,
 )
 from stringcast.stages.hit_test import check_reach
+from stringcast.stages.inference.mesh import EXTRAPOLATED_MESHES
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
@@ -172,7 +174,12 @@ def generate(
     check_reach(target, model.arm, model.string.length)
     rng = np.random.default_rng(seed)
     misfit = find_repeated_misfit(model.arm, model.string.length, previous, estimate)
-    task = CastTask(model, target, obstacles, misfit)
+    mesh = None
+    if estimate is not None and estimate.mesh_error_m > 0:
+        values = model.values(estimate.values())
+        mesh = MeshCorrection(values, EXTRAPOLATED_MESHES)
+        misfit = None if misfit is None else misfit.without_mesh_error(estimate)
+    task = CastTask(model, target, obstacles, misfit, mesh)
 
     def draw_samples(count: int, draw_uniforms: DrawUniforms) -> UncertaintySamples:
         known = (model, estimate, uncertainty)
@@ -280,10 +287,16 @@ def search_motions(
             "no random motion keeps the arm's limits and clear of the obstacles. "
             "Widen the limits, or lower generate.alpha."
         )
-    winners = race_motions(task, random, samples)
+    # Finer meshes would take longer than the few samples of a race, and a third one as
+    # long as those of a refinement
+    race, refinement = replace(task, mesh=None), task
+    if task.mesh is not None:
+        mesh = replace(task.mesh, factors=EXTRAPOLATED_MESHES[:2])
+        refinement = replace(task, mesh=mesh)
+    winners = race_motions(race, random, samples)
     progress(0.4)
     finalists = winners.select(slice(FINALIST_COUNT))
-    refined = refine_motions(task, space, finalists, samples, iterations, seed)
+    refined = refine_motions(refinement, space, finalists, samples, iterations, seed)
     progress(0.9)
     hit_shares = predict_outcome(task, refined, samples).hit.mean(axis=1)
     best = join_curves([refined, winners.select(slice(RUNNER_UP_COUNT))])

@@ -6,8 +6,6 @@ no surprise. If the hand were uncertain, the test would detect little.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from stringcast.data.artifacts import Motion
@@ -73,9 +71,7 @@ def predict_tips(
 
     misfit = find_repeated_misfit(model.arm, model.string.length, last_motion, estimate)
     if misfit is not None:
-        # remove the mesh error from the misfit
-        last_error = estimate.misfit[["mesh_x", "mesh_y"]].to_numpy()
-        misfit = replace(misfit, tip=misfit.tip + last_error)
+        misfit = misfit.without_mesh_error(estimate)
     # variance of the residual without the noise of the points
     noise = np.median(trial.sigma)
     variance = max(estimate.model_error_m**2 / 2 - noise**2, 0.0)

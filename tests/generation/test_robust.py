@@ -106,7 +106,7 @@ def estimate_of(*strings, rms=0.0):
         parameters,
         nothing,
         nothing,
-        pd.DataFrame({"rms_after": [rms]}),
+        pd.DataFrame({"rms_after": [rms], "mesh_error": [0.0]}),
         pd.DataFrame([COMMON | s for s in strings]),
     )
 
