@@ -448,7 +448,7 @@ SUSPICIOUS = {
     ),
     "one trial": (one_trial, "arm.csv trial", "Record two more"),
     "no length": (no_length, "dataset.yaml string.length", "grasp to tip"),
-    "other fps": (about(camera={"fps": 240}), "points.csv t", "as filmed"),
+    "other fps": (about(camera={"fps": 204}), "points.csv t", "as filmed"),
     "noise too small": (
         about(noise={"point_sigma": 5e-5}),
         "dataset.yaml noise.point_sigma",
