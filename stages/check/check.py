@@ -47,7 +47,6 @@ CHECKS: tuple[Check, ...] = (
     clocks.check_overlap,
     clocks.check_frame_rate,
     motion.check_fall,
-    motion.check_hanging,
     motion.check_frozen_joints,
     samples.check_lost_points,
     samples.check_zero_rows,

@@ -19,8 +19,6 @@ MAX_FROZEN_S = 0.1
 # factors by which estimated gravity may be smaller and larger: 17 datasets give 5 to
 # 19 m/s2, a clamped strip 41
 GRAVITY_RATIO_LOW, GRAVITY_RATIO_HIGH = 4.0, 10.0
-# above the grasp, relative to arc length: a limp string does not rest higher
-MAX_HEIGHT = 0.5
 
 
 def joint_readings(
@@ -64,22 +62,6 @@ def check_wrapped_angles(dataset: CheckedDataset) -> Iterator[Finding]:
         for joint, trials in rows.unwrapped.items():
             statement = "it jumps by whole turns, as a wrapped angle; it was unwrapped"
             yield note(file, joint, statement, "Nothing needs to be done", *trials)
-
-
-def check_hanging(dataset: CheckedDataset) -> Iterator[Finding]:
-    """Find strings that rest above the hand."""
-    for trial in dataset.with_points():
-        tip = trial.points[trial.points["t"] == trial.frame_t[0]].iloc[-1]
-        height = float(tip["y"] - trial.hand_at(tip["t"])[1])
-        if trial.starts_moving or tip["s"] <= 0.5 * trial.length:
-            continue
-        if MAX_HEIGHT * tip["s"] < height < trial.length:
-            statement = f"at rest the string's end is {height:.3f} m above the grasp"
-            remedy = (
-                "If it hung down, y points down: multiply y of points and of the hand "
-                "by -1 (and theta too)"
-            )
-            yield warning(dataset.points_file, "y", statement, remedy, trial.name)
 
 
 def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:

@@ -197,17 +197,6 @@ def sigma_in_mm(dirty):
     dirty.about["noise"] = {"point_sigma": 0.7}
 
 
-def constant(dirty):
-    dirty.arm["q2"] = dirty.arm.groupby("trial")["q2"].transform("first")
-
-
-def turn_over(dirty):
-    """Turn everything upside down: consistent, but the string is above the hand."""
-    dirty.with_poses()
-    for table in ("grasp", "points"):
-        getattr(dirty, table)["y"] *= -1
-
-
 CERTAIN = {
     "points in mm": (
         scaled("points", ["x", "y"], 1e3),
@@ -625,7 +614,7 @@ def test_marks_of_a_string_of_unknown_length_may_all_be_before_its_end(
 
 def test_every_check_can_find_something():
     names = [check.__name__ for check in CHECKS]
-    assert len(set(names)) == len(names) == 38
+    assert len(set(names)) == len(names) == 37
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
