@@ -8,7 +8,10 @@ import numpy as np
 
 from stringcast.data.lost_samples import find_runs
 from stringcast.stages.check.clocks import time_unit_factor, usual_interval
-from stringcast.stages.check.consistency.check import impossible_trials
+from stringcast.stages.check.consistency.check import (
+    dataset_answer,
+    impossible_trials,
+)
 from stringcast.stages.check.finding import Finding, note, warning
 from stringcast.stages.check.gravity import median_gravity
 from stringcast.stages.check.measured import CheckedDataset, CheckedTrial
@@ -66,7 +69,7 @@ def check_wrapped_angles(dataset: CheckedDataset) -> Iterator[Finding]:
 
 def check_fall(dataset: CheckedDataset) -> Iterator[Finding]:
     """Find strings whose fall contradicts gravity."""
-    if impossible_trials(dataset):
+    if impossible_trials(dataset) or dataset_answer(dataset).proposals:
         return  # another check reports what changes the fall
     if any(time_unit_factor(trial.frame_t) != 1 for trial in dataset.with_points()):
         return

@@ -64,7 +64,12 @@ def check_consistency(dataset: CheckedDataset) -> Iterator[Finding]:
 
 @lru_cache(maxsize=4)
 def dataset_answer(dataset: CheckedDataset) -> Answer:
-    """Return the corrections that make a dataset consistent; computed once."""
+    """Return the corrections that make a dataset consistent; computed once.
+
+    There are none if links or base of the arm are not stated.
+    """
+    if unknown_arm_fields(dataset):
+        return Answer()
     measured, verdict = measurements_of(dataset), judge_dataset(dataset)
     return find_answer(measured, verdict, dataset.camera)
 
