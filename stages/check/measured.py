@@ -29,7 +29,7 @@ from stringcast.stages.string_places import (
 )
 
 INITIAL_FRAMES = 3  # frames that give the initial place
-MOVED_DISTANCE = 0.03  # relative to the string's length: a larger one is motion
+MOVED_SHARE = 0.03  # of the string's length: a larger distance is motion
 MIN_TRACK_FRAMES = 5
 MIN_NOISE_SAMPLES = 60  # fourth differences for the noise of a place
 MAX_STRETCH = 1.25  # duration of five frames without a gap, over the usual one
@@ -211,13 +211,13 @@ class CheckedTrial:
         change = np.abs(self.pose - np.median(self.pose[:INITIAL_FRAMES], axis=0))
         turn = np.minimum(change[:, 2], np.pi)
         distance = np.hypot(change[:, 0], change[:, 1]) + self.length * turn
-        return _first_time(self.hand_t, distance > MOVED_DISTANCE * self.length)
+        return _first_time(self.hand_t, distance > MOVED_SHARE * self.length)
 
     @cached_property
     def string_onset(self) -> float | None:
         """Time at which most of the string has moved [s, camera's clock], or None."""
         noise = 0.0 if np.isnan(self.noise) else self.noise
-        threshold = max(MOVED_DISTANCE * self.length, CLEAR_SIGMAS * noise)
+        threshold = max(MOVED_SHARE * self.length, CLEAR_SIGMAS * noise)
         onsets = []
         for t, xy in (drop_spikes(*track) for track in self.tracks):
             start = np.median(xy[:INITIAL_FRAMES], axis=0)

@@ -20,6 +20,7 @@ from stringcast.stages.check.consistency.record import (
     Recording,
     Track,
 )
+from stringcast.stages.check.measured import MOVED_SHARE
 from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.content_cache import ContentCache
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
@@ -63,7 +64,6 @@ DAMPING_TIME_S = 1e-3  # damping over stiffness
 TICK_S = 0.005
 LEAD_S = 0.3  # of rest before the motion
 MAX_DURATION_S = 10.0
-MOVED_SHARE = 0.03  # of the length: a larger distance is motion
 MIN_HAND_PATH = 0.1  # in lengths: after a shorter path nothing is predicted
 MAX_FRAMES = 60  # of a track
 MIN_FRAMES = 5
