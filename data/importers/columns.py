@@ -40,13 +40,15 @@ ANGLE_UNITS = {
 }
 PIXEL_WORDS = {"px", "pixel", "pixels"}
 UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
-TIME_WORDS = _words("t time times timestamp stamp datetime")
+TIME_WORDS = _words(
+    "t ts time times timestamp tstamp stamp datetime elapsed epoch unixtime"
+)
 FRAME_WORDS = _words("frame frames")
 INDEX_WORDS = _words("index idx number num no nr id")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
 # a column of one of these names the point that its row holds
 LABEL_WORDS = _words("marker point keypoint bodypart label particle")
-JOINT_WORDS = _words("joint q j axis a motor servo angle theta")
+JOINT_WORDS = _words("joint jnt q j axis a motor servo angle ang theta th phi")
 # joints of serial arms named by body part, base first, as in ROS drivers
 NAMED_JOINTS = (
     ("shoulder pan", "1"),

@@ -43,10 +43,14 @@ SAMPLE = ROOT / "data" / "sample"
 BENCH = ("--links", "0.25,0.20,0.135", "--base", "0.2,0.2", "--length", "304mm")
 COLUMNS = {
     "timestamp_ms": ColumnMeaning("time", "timestamp", "", "ms"),
+    "ts_ms": ColumnMeaning("time", "ts", "", "ms"),
+    "elapsed_s": ColumnMeaning("time", "elapsed", "", "s"),
     "Time (Seconds)": ColumnMeaning("time", "time", "", "seconds"),
     "joint1_deg": ColumnMeaning("joint", "1", "", "deg"),
     "actual_q_0": ColumnMeaning("joint", "0", "", ""),
     "Joint 2 Angle [°]": ColumnMeaning("joint", "2", "", "°"),
+    "th3": ColumnMeaning("joint", "3", "", ""),
+    "phi_2_rad": ColumnMeaning("joint", "2", "", "rad"),
     "joint1_velocity": ColumnMeaning("other"),
     "joint1_deg/s": ColumnMeaning("other"),
     "target_q_0": ColumnMeaning("other"),
