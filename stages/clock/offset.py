@@ -47,6 +47,7 @@ from stringcast.stages.diagnose.clock_offsets import (
     clock_posterior,
     effect_responses,
     explains_more,
+    fit_separate_offsets,
     refit_with_one_offset,
     scatter_of_trials,
     slopes_by_offset,
@@ -171,6 +172,10 @@ def fit_clock_offset(
     if together.clock.is_common:
         progress(1.0)
         return together
+    near = _separate_offsets_near(common_fits[0], profile, used, window)
+    if near is not None:
+        progress(1.0)
+        return near
     separate, joint_fit = _estimate_separate_offsets(model, used, rng, progress)
     # The search with one offset may have missed the string found with several
     offsets = [interval.value for interval in separate.clock.by_trial.values()]
@@ -181,6 +186,50 @@ def fit_clock_offset(
     profile = profile_offset(common_fit, window.half_width + EDGE_S)
     together = _describe_common([common_fit], profile, used, window)
     return replace(together, clock=replace(together.clock, is_common=True))
+
+
+def _separate_offsets_near(
+    common: ClockFit,
+    profile: OffsetProfile,
+    trials: Sequence[CheckedTrial],
+    window: Window,
+) -> FittedOffset | None:
+    """Estimate an offset for each trial, starting from a fit with one for all.
+
+    Returns None if they are not accepted. Clocks that run at slightly different rates
+    differ by some milliseconds from trial to trial.
+    """
+    frame_s = _longest_frame_interval_s(trials)
+    separate, own = fit_separate_offsets(common, _posterior_of_trials, frame_s)
+    refitted = refit_with_one_offset(common, separate, float(np.median(own.mean)))
+    if not explains_more(separate, refitted):
+        return None
+    by_trial = _offset_of_each_trial(trials, window.middle + own.mean, own)
+    drift, _ = _estimate_drift(separate, effect_responses(separate))
+    table = _profile_table(trials[0], window, profile)
+    count = len(trials)
+    offset = ClockOffset(by_trial, False, drift, table)
+    return FittedOffset(offset, [common] * count, [window] * count)
+
+
+def _offset_of_each_trial(
+    trials: Sequence[CheckedTrial], values_s: np.ndarray, own: BackgroundPosterior
+) -> dict[str, Interval]:
+    """Return the offset of each trial by its name, of values (K,) and a posterior."""
+    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
+    by_trial = {}
+    for trial, value, deviation in zip(
+        trials, values_s, own.standard_deviation, strict=True
+    ):
+        by_trial[trial.name] = Interval.from_deviation(value, deviation, floor)
+    return by_trial
+
+
+def _posterior_of_trials(clock: ClockFit) -> BackgroundPosterior:
+    """Compute the posterior of each trial's own offset, relative to the fit."""
+    columns = slopes_by_offset(clock)
+    precision = np.full(len(clock.data.trials), NO_PRIOR)
+    return clock_posterior(clock, effect_responses(clock), columns, precision)
 
 
 def _estimate_separate_offsets(
@@ -212,12 +261,8 @@ def _estimate_separate_offsets(
     joint_fits = fits_with_causes(fit_clock(model, shifted, EDGE_S, rng, part))
     backgrounds = [effect_responses(clock) for clock in joint_fits]
     posterior = _average_posterior(joint_fits, backgrounds, slopes_by_offset)
-    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
-    by_trial = {}
-    for name, mean, deviation in zip(
-        alone, posterior.mean, posterior.standard_deviation, strict=True
-    ):
-        by_trial[name] = Interval.from_deviation(alone[name] + mean, deviation, floor)
+    values_s = np.array([*alone.values()]) + posterior.mean
+    by_trial = _offset_of_each_trial(trials, values_s, posterior)
     drift, _ = _estimate_drift(joint_fits[0], backgrounds[0])
     table = _profile_table(trials[0], windows[0], profiles[0])
     offset = ClockOffset(by_trial, False, drift, table)

@@ -8,6 +8,7 @@ unexplained misfit. This is linearised at the fit.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -40,6 +41,7 @@ STAMP_UNCERTAINTY_FRAMES = 0.1
 SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
 MAX_SCALE_M = 0.1  # of the tip displacement by effects
 SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
+MAX_STEPS = 6  # of separate offsets
 
 
 class Interval(NamedTuple):
@@ -141,6 +143,54 @@ def refit_with_one_offset(
         grid_points = separate.fit.grid_points
         fits.append(fit_hypothesis(data, hypothesis, start[None], grid_points))
     return better_fit(*[ClockFit(data, fit) for fit in fits])
+
+
+def fit_separate_offsets(
+    common: ClockFit,
+    posterior: Callable[[ClockFit], BackgroundPosterior],
+    frame_s: float,
+) -> tuple[ClockFit, BackgroundPosterior]:
+    """Fit an offset of each trial, and one string for all, from a fit with one offset.
+
+    Gauss-Newton steps of all offsets are each followed by a fit of the string.
+
+    Parameters
+    ----------
+    common : ClockFit
+        The fit with one offset.
+    posterior : callable
+        Computes the posterior of the trials' offsets, relative to a fit.
+    frame_s : float
+        Time between two frames [s]; steps end if they differ by a small part of it.
+
+    Returns
+    -------
+    separate : ClockFit
+        The fit to trials shifted by their offsets.
+    own : BackgroundPosterior
+        The posterior of the trials' offsets, in the times of the common fit.
+    """
+    separate = common
+    own = posterior(common)
+    shift_s = np.zeros(len(common.data.trials))
+    for _ in range(MAX_STEPS):
+        shift_s += own.mean
+        separate = _refit_with_shifts(separate, own.mean)
+        own = posterior(separate)
+        if np.ptp(own.mean) < STAMP_UNCERTAINTY_FRAMES * frame_s:
+            break
+    return separate, replace(own, mean=shift_s + separate.offset + own.mean)
+
+
+def _refit_with_shifts(clock: ClockFit, shifts_s: np.ndarray) -> ClockFit:
+    """Shift the times of trials by (K,) [s], and refit the string."""
+    trials = []
+    for trial, shift_s in zip(clock.data.trials, shifts_s.tolist(), strict=True):
+        trials.append(trial.shift_times(shift_s))
+    data = replace(clock.data, trials=tuple(trials))
+    fit = clock.fit
+    refitted = fit_hypothesis(data, fit.hypothesis, fit.chi[None], fit.grid_points)
+    return ClockFit(data, refitted)
 
 
 def effect_responses(clock: ClockFit) -> ByTrial:

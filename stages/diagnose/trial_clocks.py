@@ -7,7 +7,6 @@ clocks of each trial are fitted, starting from its fit with the causes that it n
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from stringcast.stages.diagnose.clock_offsets import (
     clock_posterior,
     effect_responses,
     explains_more,
+    fit_separate_offsets,
     refit_with_one_offset,
     slopes_by_offset,
     trials_differ,
@@ -29,7 +29,6 @@ from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.time_offset import TimeOffset
 
 OFFSET_DEVIATION_S = 0.03  # of the prior of an offset; larger ones are refused before
-MAX_STEPS = 6  # of the offsets
 
 
 def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | None:
@@ -58,26 +57,16 @@ def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | Non
     if not trials_differ(own, frame_s):
         return None
 
-    # Gauss-Newton steps of all offsets, each followed by a fit of the string
-    separate = common
-    shift_s = np.zeros(len(data.trials))
-    for _ in range(MAX_STEPS):
-        shift_s += own.mean
-        separate = _refit_with_shifts(separate, own.mean)
-        own = _posterior_of_offsets(separate)
-        if np.ptp(own.mean) < STAMP_UNCERTAINTY_FRAMES * frame_s:
-            break
-    offset_s = shift_s + separate.offset + own.mean
-
+    separate, own = fit_separate_offsets(common, _posterior_of_offsets, frame_s)
     # The fit with one offset may have missed the string found with several
-    common = refit_with_one_offset(common, separate, float(np.median(offset_s)))
+    common = refit_with_one_offset(common, separate, float(np.median(own.mean)))
     if not explains_more(separate, common):
         return None
     floor_s = STAMP_UNCERTAINTY_FRAMES * frame_s
     by_trial = {}
     for k, trial in enumerate(data.trials):
         deviation_s = own.standard_deviation[k]
-        interval = Interval.from_deviation(offset_s[k], deviation_s, floor_s)
+        interval = Interval.from_deviation(own.mean[k], deviation_s, floor_s)
         by_trial[trial.name] = interval
     return by_trial
 
@@ -93,17 +82,6 @@ def _posterior_of_offsets(clock: ClockFit) -> BackgroundPosterior:
     precision = np.full(len(clock.data.trials), OFFSET_DEVIATION_S**-2)
     background = effect_responses(clock)
     return clock_posterior(clock, background, slopes_by_offset(clock), precision)
-
-
-def _refit_with_shifts(clock: ClockFit, shifts_s: np.ndarray) -> ClockFit:
-    """Shift the times of trials by (K,) [s], and refit the string."""
-    trials = []
-    for trial, shift_s in zip(clock.data.trials, shifts_s.tolist(), strict=True):
-        trials.append(trial.shift_times(shift_s))
-    data = replace(clock.data, trials=tuple(trials))
-    fit = clock.fit
-    refitted = fit_hypothesis(data, fit.hypothesis, fit.chi[None], fit.grid_points)
-    return ClockFit(data, refitted)
 
 
 def describe_trial_clocks(by_trial: Mapping[str, Interval]) -> str:

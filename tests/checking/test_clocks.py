@@ -359,6 +359,22 @@ def test_a_large_hidden_cause_is_fitted_with_the_offset():
     assert interval.high - interval.low < FRAME_S
 
 
+def test_clocks_that_drift_apart_over_a_session_get_separate_offsets():
+    """The clocks gain 6 ms on each other from trial to trial; a weight is hidden."""
+    rng = np.random.default_rng(0)
+    lag_s = 0.006
+    trials = []
+    for number, seen in enumerate(TRIALS[:4]):
+        heavy = with_heavy_tip(seen, 0.2, rng)
+        times = heavy.points["t"] + number * lag_s
+        trials.append(replace(heavy, points=heavy.points.assign(t=times)))
+    found = estimate_clock_offset(plain_model(CHECKED), trials, rng)
+    assert not found.is_common
+    for number, interval in enumerate(found.by_trial.values()):
+        assert interval.low < -number * lag_s < interval.high
+        assert interval.high - interval.low < FRAME_S
+
+
 def test_only_a_wrong_clock_is_refused():
     model = plain_model(CHECKED)
     rng = np.random.default_rng(0)
