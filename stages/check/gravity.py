@@ -8,13 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.check.measured import CheckedTrial, drop_spikes
 from stringcast.stages.common import GRAVITY_M_S2, NORMAL_95
 from stringcast.stages.model.polyline import turn_left
-
-signal = LazyModule("scipy.signal")
 
 # duration of a fitted parabola, in which a fast tip turns little
 WINDOW_S = 0.04
@@ -42,19 +40,22 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     if len(t) < 2:
         return float("nan")
     interval = max(float(np.median(np.diff(t))), 1e-9)
-    size = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)  # of a window
-    if len(t) < MIN_WINDOWS + size:
+    frames_per_window = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)
+    if len(t) < MIN_WINDOWS + frames_per_window:
         return float("nan")
 
-    # middles of windows without lost frames, which would make them too long
-    durations = t[size - 1 :] - t[: len(t) - size + 1]
-    is_whole = durations <= MAX_WINDOW_RATIO * (size - 1) * interval
-    middle = np.flatnonzero(is_whole) + size // 2
-    if len(middle) < MIN_WINDOWS:
+    # windows without lost frames, which would make them too long for a parabola
+    times = sliding_window_view(t, frames_per_window)
+    usual_duration = (frames_per_window - 1) * interval
+    is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * usual_duration
+    if is_whole.sum() < MIN_WINDOWS:
         return float("nan")
-    # of parabolas fitted to the windows (Savitzky and Golay, 1964), (N, 2)
-    acceleration = signal.savgol_filter(tip, size, 2, deriv=2, delta=interval, axis=0)
-    acceleration = acceleration[middle]
+
+    # acceleration in the middle of N windows of W frames
+    middle = np.flatnonzero(is_whole) + frames_per_window // 2
+    times = times[is_whole] - t[middle, None]  # (N, W)
+    places = sliding_window_view(tip, frames_per_window, axis=0)[is_whole]  # (N, 2, W)
+    acceleration = _parabola_accelerations(times, places)  # (N, 2)
 
     # components across the string, measured and by a gravity of 1, (N,)
     across = turn_left(direction[middle])
@@ -64,7 +65,7 @@ def estimate_gravity(trial: CheckedTrial) -> float:
         return float("nan")
 
     # windows overlap: only every W-th is independent
-    independent_count = max(len(middle) / size, 1.0)
+    independent_count = max(len(middle) / frames_per_window, 1.0)
     gravity, sigma = _fit_through_origin(expected, measured, independent_count)
     if NORMAL_95 * sigma > max(abs(gravity), GRAVITY_M_S2):
         return float("nan")
@@ -94,6 +95,16 @@ def _tip_track(trial: CheckedTrial) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     chord = tip - start
     lengths = np.linalg.norm(chord, axis=1, keepdims=True)
     return t, tip, chord / np.maximum(lengths, 1e-12)
+
+
+def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Fit parabolas to windows (N, W) of times and (N, 2, W) of places, (N, 2).
+
+    The acceleration is twice the coefficient of t^2, which is a weighted sum of places.
+    """
+    powers = np.stack([np.ones_like(times), times, times**2], axis=-1)  # (N, W, 3)
+    weights = np.linalg.pinv(powers)[:, 2]  # (N, W)
+    return np.asarray(2 * np.einsum("nw,nxw->nx", weights, places))
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:

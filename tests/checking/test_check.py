@@ -25,7 +25,9 @@ from stringcast.stages.check.check import collect_findings, refuse_errors
 from stringcast.stages.check.clocks import check_bandwidth
 from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.frames import check_camera_view
+from stringcast.stages.check.gravity import estimate_gravity
 from stringcast.stages.check.overview import dataset_overview
+from stringcast.stages.common import GRAVITY_M_S2
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.lens import Lens
 
@@ -664,6 +666,26 @@ def test_a_fall_that_contradicts_gravity_is_reported_once(
     assert len(about_fall) == 1, [f.sentence for f in findings]
     assert expected in about_fall[0].statement
     assert advice in about_fall[0].remedy
+
+
+def free_fall(t):
+    """Return a trial whose tip falls freely while the string turns."""
+    x, y = 2.0 * t, 3.0 * t - GRAVITY_M_S2 * t**2 / 2
+    turn = 6.0 * t
+    tip = pd.DataFrame({"t": t, "s": 0.3, "x": x, "y": y})
+    inner = tip.assign(s=0.2, x=x - 0.1 * np.cos(turn), y=y - 0.1 * np.sin(turn))
+    return SimpleNamespace(
+        points=pd.concat([inner, tip]), hand_at=lambda t: np.zeros((len(t), 2))
+    )
+
+
+def test_a_free_fall_shows_gravity_though_frames_are_lost_and_uneven():
+    rng = np.random.default_rng(0)
+    even = np.arange(240) / 240
+    lost = even[rng.random(240) > 0.2]
+    uneven = even + rng.uniform(-0.2, 0.2, 240) / 240
+    for t in (even, lost, uneven):
+        assert estimate_gravity(free_fall(t)) == pytest.approx(GRAVITY_M_S2)
 
 
 def test_a_string_that_stays_at_rest_does_not_fall(dirty, tmp_path):
