@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.markup import escape
 
 from stringcast.data.errors import ExpectedError
+from stringcast.data.lazy_module import MissingPackageError
 from stringcast.pipeline.cli.console import print_summary, progress_bars
 from stringcast.pipeline.cli.terminal import Terminal
 from stringcast.pipeline.run import run_folder
@@ -93,7 +94,7 @@ def check_devices(experiment: Experiment) -> None:
         try:
             with device:
                 pass
-        except HardwareError as error:
+        except (HardwareError, MissingPackageError) as error:
             faults.append(str(error))
     if faults:
         raise HardwareError("\n".join(faults))

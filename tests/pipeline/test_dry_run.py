@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from stringcast.data.dataset import read_dataset
+from stringcast.data.lazy_module import MissingPackageError
 from stringcast.pipeline.commands.index import run_row
 from stringcast.stages.execute.interfaces import HardwareError
 from tests.faults.toy import CALLS, toy_experiment, toy_run
@@ -58,21 +59,20 @@ def test_dry_run_makes_an_invalid_trial(called, tmp_path, undrawn):
 
 
 class AbsentDevice:
-    """A device that is not connected."""
+    """A device that is not connected, or whose library is not installed."""
 
-    def __init__(self, message):
-        self.message = message
+    def __init__(self, message, kind=HardwareError):
+        self.error = kind(message)
 
     def __enter__(self):
-        raise HardwareError(self.message)
+        raise self.error
 
     def __exit__(self, *_):
         return None
 
 
-def test_all_device_faults_are_reported_before_planning(
-    tmp_path,
-):
+@pytest.mark.parametrize("kind", [HardwareError, MissingPackageError])
+def test_all_device_faults_are_reported_before_planning(tmp_path, kind):
     experiment = toy_experiment(1)
 
     def with_lab(arm, camera):
@@ -83,7 +83,9 @@ def test_all_device_faults_are_reported_before_planning(
     with pytest.raises(HardwareError, match=r"no such port\nno such camera"):
         toy_run(
             tmp_path / "run",
-            with_lab(AbsentDevice("no such port"), AbsentDevice("no such camera")),
+            with_lab(
+                AbsentDevice("no such port", kind), AbsentDevice("no such camera")
+            ),
         )
     with pytest.raises(HardwareError, match=r"^no such camera$"):
         toy_run(
