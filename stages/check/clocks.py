@@ -128,8 +128,12 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
         usual = usual_interval(t)
         if not 0 < usual < MAX_INTERVAL_S or len(t) < MIN_SAMPLES_FOR_UNIT:
             continue
-        # frames may be missing, and possibly only every second or third one was kept
-        steps = np.rint(np.diff(t, prepend=t[0]) / usual)
+        # frames may be missing, and possibly only every second or third one was kept;
+        # the median of rounded times is too inaccurate to count frames in a long gap
+        gaps = np.diff(t, prepend=t[0])
+        single = gaps[np.rint(gaps / usual) == 1]
+        mean = single.mean() if len(single) else usual
+        steps = np.rint(gaps / mean)
         interval = float(np.polyfit(steps.cumsum(), t, 1)[0])
         frames_per_sample = max(round(fps * interval), 1)
         if abs(frames_per_sample / (interval * fps) - 1) > RATE_TOLERANCE:

@@ -18,7 +18,7 @@ from stringcast.pipeline.commands.check import (
     settings_for_data,
 )
 from stringcast.pipeline.commands.clock_fit import plain_model
-from stringcast.stages.check.clocks import check_clock_interval
+from stringcast.stages.check.clocks import check_clock_interval, check_frame_rate
 from stringcast.stages.check.consistency import trial_clocks
 from stringcast.stages.check.consistency.prediction import WHOLE_MOTION
 from stringcast.stages.check.consistency.trial_clocks import check_trial_clocks
@@ -302,6 +302,22 @@ def test_the_scatter_of_offsets_beyond_their_posterior_is_estimated():
     assert scatter_of_trials(shared) == pytest.approx(np.sqrt(excess), rel=1e-3)
     wide = replace(own, covariance=0.05**2 * np.eye(4))
     assert scatter_of_trials(wide) == 0.0
+
+
+@pytest.mark.parametrize(("stated", "count"), [(240, 0), (243, 1)])
+def test_the_frame_rate_is_that_of_rounded_times_with_a_long_gap(stated, count):
+    """Times in milliseconds have a median interval of 4 ms, not 4.17."""
+    t = np.round(np.arange(480) / 240, 3)
+    t = t[(t < 0.9) | (t > 1.4)]
+    dataset = SimpleNamespace(
+        metadata_block=lambda name: {"fps": stated},
+        informative_trials=lambda: [SimpleNamespace(frame_t=t, name="t00")],
+        points_file="points.csv",
+    )
+    findings = list(check_frame_rate(dataset))
+    assert len(findings) == count
+    for finding in findings:
+        assert "there are 240 frames per second" in finding.statement
 
 
 def fit_of_evidence(log_evidence, **data):
