@@ -452,9 +452,9 @@ class CauseSearch:
         """Compute the share of untried sets among those next to the most probable one.
 
         Those next to it have another effect in place of one of its causes, or one more
-        if it leaves more than noise. All are equally probable a priori. Unless the
-        order in which they were tried is informative, their share is the probability
-        that the best of all is among the untried.
+        if it leaves more than noise. If all are as likely to be the best, and the order
+        in which they were tried does not matter, their share is the probability that
+        the best of all is among the untried.
         """
         compared = self.comparisons_without_idle_causes().values()
         leading = max(compared, key=self.log_posterior)
@@ -465,9 +465,16 @@ class CauseSearch:
         is_explained = is_fitted and self.is_explained(leading)
         if len(leading.causes) < MAX_CAUSES and not is_explained:
             bases.append(leading.causes)
-        untried = [base for base in bases if base not in self.screenings]
-        sets_of_each = len(self.effects)
-        return sets_of_each * len(untried) / (1 + sets_of_each * len(bases))
+        tried = self.comparisons().keys()
+        near = {leading.causes}
+        untried = set[Causes]()
+        for base in bases:
+            added = {effect.name for effect in self.effects} - set(base)
+            sets = {tuple(sorted([*base, name])) for name in added}
+            near |= sets
+            if base not in self.screenings:
+                untried |= sets - tried
+        return len(untried) / len(near)
 
     def is_exchanged(self, best: Comparison) -> bool:
         """Return whether each of the explaining causes was exchanged for all others."""
