@@ -38,7 +38,8 @@ class MeshCorrection:
         """Compute the error of the tip on M motions at T ticks, (M, T, 2) [m].
 
         Returns the limit minus the simulation, and the difference between the limits of
-        the finest and the coarsest two meshes. Both are 0 where a simulation diverges.
+        the finest and the coarsest two meshes. They are NaN where a simulation
+        diverges, so that the motion does not count as a hit.
         """
         tick = model.arm.tick
         angles, speeds = curves.sample(tick, float(curves.duration.max()))
@@ -51,4 +52,4 @@ class MeshCorrection:
             tips.append(finer.simulate_string(motion, values, times).tip)
         limit = richardson_limit(tips[-2], tips[-1])
         uncertainty = limit - richardson_limit(tips[0], tips[1])
-        return np.nan_to_num(limit - tips[0]), np.nan_to_num(uncertainty)
+        return limit - tips[0], uncertainty

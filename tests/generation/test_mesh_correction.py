@@ -83,6 +83,28 @@ def test_a_target_that_the_coarse_mesh_misses_is_hit(arm, coarse, fine, values):
     assert predict_outcome(corrected, motion, samples).hit.all()
 
 
+def test_a_motion_on_which_a_finer_mesh_diverges_does_not_hit(
+    arm, coarse, values, monkeypatch
+):
+    motion = plain_cast(arm, DURATION_S)
+    samples = samples_of(values)
+    everywhere = CastTask(coarse, Target(0.0, 0.0, 9.0, 9.0), ())
+    corrected = replace(everywhere, mesh=MeshCorrection(values, EXTRAPOLATED_MESHES))
+    assert predict_outcome(corrected, motion, samples).hit.all()
+
+    def diverge_on_finest(model, motion, values, times):
+        found = simulate_string(model, motion, values, times)
+        is_finest = model.string.points > 2 * coarse.string.points
+        return replace(found, points=found.points * np.nan) if is_finest else found
+
+    simulate_string = Model.simulate_string
+    monkeypatch.setattr(Model, "simulate_string", diverge_on_finest)
+    assert predict_outcome(everywhere, motion, samples).hit.all()
+    outcome = predict_outcome(corrected, motion, samples)
+    assert not outcome.hit.any()
+    assert np.isinf(outcome.distance).all()
+
+
 def test_disagreement_of_meshes_adds_to_the_error_of_the_tip(arm, coarse, values):
     motion = plain_cast(arm, DURATION_S)
     mesh = MeshCorrection(values, EXTRAPOLATED_MESHES)
