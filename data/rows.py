@@ -41,10 +41,10 @@ class RowCounts:
     """Counts of a file's rows.
 
     total: rows in the file. dropped: unusable rows by reason. columns: those with
-    unusable values. unordered: rows earlier
-    than the previous row of the same trial and point. lost: points written by a tracker
-    without a detection; also dropped. timeless: trials whose times are not those of
-    single rows, with the reason. unwrapped: trials with wrapped angles, by joint.
+    unusable values. unordered: rows earlier than the previous row of the same trial and
+    point. lost: points written by a tracker without a detection; also dropped.
+    timeless: trials whose times are not those of single rows, with the reason.
+    unwrapped: trials with wrapped angles, by joint.
     """
 
     total: int

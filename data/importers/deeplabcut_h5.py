@@ -1,7 +1,7 @@
 """Tables of DeepLabCut in HDF5, as pandas stores them (`df_with_missing/table`).
 
-pandas would use PyTables, which unpickles any attribute and may run
-code. Here a restricted reader of lists, tuples and texts unpickles the column names.
+pandas would use PyTables, which unpickles any attribute and may run code. Here a
+restricted reader of lists, tuples and texts unpickles the column names.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """MCAP files (https://mcap.dev) with messages of ROS 2 or in JSON.
 
-Every topic of joint states, poses,
-points or transforms is a recording, in metres, radians and seconds (REP 103).
+Every topic of joint states, poses, points or transforms is a recording, in metres,
+radians and seconds (REP 103).
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ def fits_with_causes(clock: ClockFit) -> list[ClockFit]:
     """Fit the offset with each of the causes that explain most.
 
     Returns the likely fits, the best first. The given fit, without a cause, may be
-    among them. Effects that depend
-    on place are left out, because they act only where they touch.
+    among them. Effects that depend on place are left out, because they act only where
+    they touch.
     """
     fit = clock.fit
     candidates = candidate_effects(

@@ -452,9 +452,9 @@ class CauseSearch:
         """Compute the share of untried sets among those next to the most probable one.
 
         Those next to it have another effect in place of one of its causes, or one more
-        if it leaves more than noise. If all are as likely to be the best, and the order
-        in which they were tried does not matter, their share is the probability that
-        the best of all is among the untried.
+        if it leaves more than noise. If all are equally likely, whatever the order in
+        which they were tried, their share is the probability that the best of all is
+        among the untried.
         """
         compared = self.comparisons_without_idle_causes().values()
         leading = max(compared, key=self.log_posterior)
