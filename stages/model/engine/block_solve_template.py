@@ -87,7 +87,7 @@ for i in range(n - ONE):
         pull = rows[TENSION + segment] if rows[TENSION + segment] > 0.0 else 0.0
         along = rows[AXIAL + lane]
         hinges = rows[BENDING + segment] + rows[BENDING + segment + NEXT]
-        across = (0.25 * dt * dt * pull + hinges * inverse) * inverse
+        across = ({{ integrator.stiffness_weight }} * dt * dt * pull + hinges * inverse) * inverse
         rows[TURN_X + segment] = -ty * inverse
         rows[TURN_Y + segment] = tx * inverse
         rows[S11 + segment] = along * tx * tx + across * ty * ty

@@ -92,7 +92,7 @@ def generate_source(
     return _template(STEP_LOOP).render(
         laws=LawSource(effects, row_names),
         integrator=integrator,
-        solve=_template(integrator.solve_source).render(),
+        solve=_template(integrator.solve_source).render(integrator=integrator),
         rows=row_numbers(integrator, effects),
         lanes=lanes,
         max_bend_per_step=MAX_BEND_PER_STEP,
