@@ -11,7 +11,11 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.diagnose.base_model import widen_ranges_with_causes
-from stringcast.stages.diagnose.discretisation import STEP_S, unresolvable_trials
+from stringcast.stages.diagnose.discretisation import (
+    SEGMENTS,
+    STEP_S,
+    unresolvable_trials,
+)
 from stringcast.stages.diagnose.forward_selection import select_causes
 from stringcast.stages.diagnose.outlying_trials import (
     find_outlying_trial,
@@ -64,7 +68,7 @@ class _Search:
     trials : TrialsByUse
         The trials, including those that are chaotic without causes.
     settings : DiagnosisSettings
-        Settings, with the ranges and the longest time step of this search.
+        Settings, with the ranges and the meshes of this search.
     resolved_with_causes : tuple of str
         Names of chaotic trials that causes resolved. They are kept, even if chaotic
         without causes.
@@ -86,7 +90,7 @@ class _Search:
             np.random.default_rng(settings.seed),
             settings.starts,
             lambda share: settings.progress(0.3 * share),
-            settings.longest_step_s,
+            settings.mesh_may_be_coarser,
             self.resolved_with_causes,
         )
         effects = candidate_effects(
@@ -113,11 +117,11 @@ def search_until_trials_settle(
     - A chaotic trial is used again if simulation with the causes resolves it, and the
       search continues from these causes. If the fit to all trials does not resolve it,
       it is left out for good.
-    - If trials are chaotic with the causes at a long time step, the search is repeated
-      with a short one.
+    - If trials are chaotic with the causes on a coarse mesh, the search is repeated on
+      a fine one.
     - If the causes leave a parameter of the string at the end of its range, the search
       is repeated in a wider range.
-    - A trial that is chaotic with the causes at a short step is left out, and the
+    - A trial that is chaotic with the causes on a fine mesh is left out, and the
       search continues from the causes.
     - If the data with the causes clearly come from the configured mesh, the search
       continues from the causes on that mesh.
@@ -170,7 +174,7 @@ def _search_after_new_cause(
     names = (*search.resolved_with_causes, *resolved)
     search = replace(search, resolved_with_causes=names)
 
-    # Other steps or ranges require all fits to be repeated, so they are chosen first
+    # Other meshes or ranges require all fits to be repeated, so they are chosen first
     chaotic = _trials_chaotic_with_causes(state, criteria)
     settings = _settings_with_causes(state, search.settings, chaotic)
     if settings is not search.settings:
@@ -270,13 +274,13 @@ def _trials_for_another_search(
 def _settings_with_causes(
     state: SelectionState, settings: DiagnosisSettings, chaotic: Sequence[str]
 ) -> DiagnosisSettings:
-    """Shorten steps at which trials are chaotic, or widen a range that is too narrow.
+    """Refine a mesh on which trials are chaotic, or widen a range that is too narrow.
 
     Either may have led to wrong causes. Returns the same settings if neither applies.
     """
-    if chaotic and settings.longest_step_s > STEP_S and _steps_are_long(state):
-        log.info("chaotic in long steps: %s", ", ".join(chaotic))
-        return replace(settings, longest_step_s=STEP_S)
+    if chaotic and settings.mesh_may_be_coarser and _mesh_is_coarse(state):
+        log.info("chaotic on a coarse mesh: %s", ", ".join(chaotic))
+        return replace(settings, mesh_may_be_coarser=False)
     if not state.fit.hypothesis.causes:
         return settings
     data = state.prepared.data
@@ -287,9 +291,9 @@ def _settings_with_causes(
     return replace(settings, model=model)
 
 
-def _steps_are_long(state: SelectionState) -> bool:
-    base = state.prepared.base_fit.hypothesis.model
-    return base.string.largest_step > STEP_S
+def _mesh_is_coarse(state: SelectionState) -> bool:
+    string = state.prepared.base_fit.hypothesis.model.string
+    return string.points <= SEGMENTS or string.largest_step > STEP_S
 
 
 def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:

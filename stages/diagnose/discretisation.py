@@ -53,7 +53,6 @@ from stringcast.stages.model.model import Model
 # The tip error of a plain cast is 1 mm before correction
 SEGMENTS = 20
 STEP_S = ABRUPT_STEP_S  # accurate enough for any cause
-LONGEST_STEP_S = 4e-3  # where the motion is gentle (`time_step`)
 MAX_CORRECTION_PASSES = 8  # usually two are enough
 # Ratio of the uncertainty of an error to the error. Extrapolation assumes that errors
 # fall by 4 as segments are halved (order 2). If one falls by 2^p, |4 / 2^p - 1| / 4 of

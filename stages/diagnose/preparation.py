@@ -14,7 +14,6 @@ from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.base_model import fit_base_model, fit_from_beginnings
 from stringcast.stages.diagnose.discrepancy_model import with_growth
 from stringcast.stages.diagnose.discretisation import (
-    LONGEST_STEP_S,
     correct_data_at,
     corrected_data_of,
     exclude_chaotic_trials,
@@ -25,6 +24,7 @@ from stringcast.stages.diagnose.discretisation import (
     without_trials,
 )
 from stringcast.stages.diagnose.measures import refit, unexplained_tip_rms
+from stringcast.stages.diagnose.mesh_choice import choose_mesh
 from stringcast.stages.diagnose.noise import (
     estimate_initial_noise,
     remove_outliers,
@@ -34,7 +34,6 @@ from stringcast.stages.diagnose.prepared_data import (
     with_initial_states_of,
 )
 from stringcast.stages.diagnose.rules import STRONG_LOG_EVIDENCE
-from stringcast.stages.diagnose.time_step import lengthen_steps_while_accurate
 from stringcast.stages.diagnose.used_frames import (
     thin_frames,
     trim_trailing_rest,
@@ -90,7 +89,7 @@ def prepare_data(
     rng: np.random.Generator,
     starts: int,
     progress: Progress,
-    longest_step_s: float = LONGEST_STEP_S,
+    mesh_may_be_coarser: bool = True,
     keep_if_chaotic: Sequence[str] = (),
 ) -> PreparedData:
     """Fit the base model to the trials and correct their noise and numerical error.
@@ -102,8 +101,8 @@ def prepare_data(
         Tolerance to which simulation must resolve the tip of a trial [m].
     starts : int
         Number of starts of the search for the base model's parameters.
-    longest_step_s : float
-        Limit of the time step where long steps are accurate [s].
+    mesh_may_be_coarser : bool
+        Whether a coarse mesh is used where it is accurate.
     keep_if_chaotic : sequence of str
         Names of trials that need not be resolved.
 
@@ -132,9 +131,7 @@ def prepare_data(
     # Base model; its residuals determine outliers and noise
     likelihood = Likelihood(TrialData(tuple(chosen)), second_order)
     likelihood, chi = fit_base_model(likelihood, rng, starts, progress)
-    likelihood = lengthen_steps_while_accurate(
-        likelihood, chi, tolerance_m, longest_step_s
-    )
+    likelihood = choose_mesh(likelihood, chi, tolerance_m, mesh_may_be_coarser)
     with_outliers, trials = estimate_initial_noise(likelihood, chi, noise_is_given)
 
     # Discretisation error, discrepancy model, and the fit with its evidence

@@ -9,7 +9,6 @@ from scipy.special import ndtri
 
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.candidate_motions import DesignSettings
-from stringcast.stages.diagnose.discretisation import LONGEST_STEP_S
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.box import Box
@@ -24,7 +23,7 @@ INTERVAL_WIDENING = 1.4
 class DiagnosisSettings:
     """The model and the settings of a diagnosis (see `diagnose`).
 
-    longest_step_s: limit of the time step where long steps are accurate [s].
+    mesh_may_be_coarser: whether a coarse mesh is used where it is accurate.
     """
 
     model: Model
@@ -36,7 +35,7 @@ class DiagnosisSettings:
     design: DesignSettings
     excluded_effects: Sequence[str]
     progress: Progress
-    longest_step_s: float = LONGEST_STEP_S
+    mesh_may_be_coarser: bool = True
 
     @property
     def interval_half_width(self) -> float:

@@ -14,8 +14,6 @@ from stringcast.stages.diagnose import (
     selection_state,
 )
 from stringcast.stages.diagnose.discretisation import (
-    LONGEST_STEP_S,
-    STEP_S,
     subtract_discretisation_error,
     unresolvable_trials,
     with_second_order_mesh,
@@ -162,25 +160,27 @@ def test_a_trial_that_is_chaotic_with_causes_is_used_again_once(returns, monkeyp
     assert [*used.left_out] == ["t2"]
 
 
-def test_a_search_is_repeated_with_short_steps_if_long_ones_are_chaotic(monkeypatch):
-    """Steps were chosen for the base model, whose string may differ."""
+def test_a_search_is_repeated_on_a_fine_mesh_if_trials_are_chaotic(monkeypatch):
+    """The mesh was chosen for the base model, whose string may differ."""
 
-    def prepare(model, observations, tolerance, rng, starts, progress, step_s, keep):
-        steps_s.append(step_s)
+    def prepare(
+        model, observations, tolerance, rng, starts, progress, may_coarsen, keep
+    ):
+        could_coarsen.append(may_coarsen)
         trials = [SimpleNamespace(name=o.trial) for o in observations]
-        third_m = 9e-3 if step_s > STEP_S else 1e-4
+        third_m = 9e-3 if may_coarsen else 1e-4
         return prepared_trials(trials, [0.0, 0.0, third_m])
 
     def select(state, *given):
         begun_with.append(state.fit.hypothesis.causes)
         yield SelectionState(state.prepared, fit_with("wind"))
 
-    steps_s, begun_with = [], []
+    could_coarsen, begun_with = [], []
     monkeypatch.setattr(cause_search, "find_outlying_trial", lambda *given: {})
     monkeypatch.setattr(cause_search, "with_causes_found_before", keep_causes)
-    used, _, causes = settle(monkeypatch, prepare, select, steps_are_long=True)
-    assert steps_s == [LONGEST_STEP_S, STEP_S]
-    assert begun_with == [(), ()]  # long steps may have led to other causes
+    used, _, causes = settle(monkeypatch, prepare, select, mesh_is_coarse=True)
+    assert could_coarsen == [True, False]
+    assert begun_with == [(), ()]  # a coarse mesh may have led to other causes
     assert causes == ("wind",)
     assert not used.left_out
 
@@ -283,13 +283,13 @@ def settle(
     monkeypatch,
     prepare,
     select,
-    steps_are_long=False,
+    mesh_is_coarse=False,
     model=None,
     widen=lambda data, fit, criteria: None,
 ):
     """Search three trials until the choice of trials settles."""
     monkeypatch.setattr(cause_search, "widen_ranges_with_causes", widen)
-    monkeypatch.setattr(cause_search, "_steps_are_long", lambda state: steps_are_long)
+    monkeypatch.setattr(cause_search, "_mesh_is_coarse", lambda state: mesh_is_coarse)
     monkeypatch.setattr(cause_search, "prepare_data", prepare)
     monkeypatch.setattr(cause_search, "candidate_effects", lambda *given: [])
     monkeypatch.setattr(cause_search, "select_causes", select)
