@@ -21,9 +21,9 @@ from stringcast.stages.inference.mesh import likelihood_on_mesh
 
 log = logging.getLogger(__name__)
 
+SHORTER_STEP = 0.5  # factor of the time step
 # Factors of segments and of the time step, the cheapest first
-COARSER_MESHES = ((0.5, 4), (0.5, 2), (1, 4), (0.5, 1), (1, 2))
-SHORTER_STEP = 0.5
+MESHES = ((0.5, 4), (0.5, 2), (1, 4), (0.5, 1), (1, 2), (0.5, SHORTER_STEP))
 # Of the tolerance: uncertainty of a trial's correction that a coarser mesh may add
 MAX_ADDED_UNCERTAINTY = 0.1
 
@@ -49,6 +49,7 @@ def choose_mesh(
         Whether a coarser mesh than the given one may be chosen.
     """
     chosen = likelihood
+    cost = 1.0  # of simulation, relative to that on the given mesh
     uncertainty_m = _tip_uncertainty(chosen, chi)
     is_resolved = uncertainty_m < tolerance_m
     if not is_resolved.all():
@@ -56,13 +57,16 @@ def choose_mesh(
         shorter_m = _tip_uncertainty(with_shorter_steps, chi)
         if (shorter_m < tolerance_m).sum() > is_resolved.sum():
             chosen = with_shorter_steps
+            cost = 1 / SHORTER_STEP
             uncertainty_m = shorter_m
             is_resolved = shorter_m < tolerance_m
     if not may_be_coarser or not is_resolved.any():
         return chosen
 
     allowed_m = uncertainty_m + MAX_ADDED_UNCERTAINTY * tolerance_m
-    for segments_factor, step_factor in COARSER_MESHES:
+    for segments_factor, step_factor in MESHES:
+        if segments_factor / step_factor >= cost:
+            break
         coarser = _with_mesh(likelihood, segments_factor, step_factor)
         coarser_m = _tip_uncertainty(coarser, chi)
         if (coarser_m <= allowed_m)[is_resolved].all():
