@@ -326,7 +326,7 @@ def test_a_range_is_widened_only_if_the_data_require_it(model, prepared):
 
 
 def test_a_range_is_kept_if_a_wider_one_explains_hardly_more(model, prepared):
-    """The best axial damping is beyond its range, but hardly determined."""
+    """The best axial damping is at an end of its range, but hardly determined."""
     damping = {p.name: p for p in model.string.parameters}["axial_damping"]
     index = model.names.index(damping.name)
     high = damping.value(prepared.base_fit.chi[index]) / 2
@@ -337,7 +337,7 @@ def test_a_range_is_kept_if_a_wider_one_explains_hardly_more(model, prepared):
     start[index] = 1.0
     with_noise = with_estimated_noise(likelihood, start)
     (chi,) = fit_least_squares(with_noise, start[None]).chi
-    assert chi[index] == 1.0
+    assert min(chi[index], 1 - chi[index]) < 1e-9
     assert widen_range_if_supported(likelihood, chi, index)[0] is likelihood
 
 
