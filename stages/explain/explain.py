@@ -165,7 +165,6 @@ def weigh_evidence(search: CauseSearch, previous: Explanation | None) -> Evidenc
     probabilities = posterior_probabilities(compared, len(search.effects))
     best = most_probable_fit(compared, probabilities)
     base = compared[NO_CAUSE]
-    base = compared[NO_CAUSE]
     was_named = previous is not None and previous.named_causes == best.causes
     untried = 0.0
     if not (was_named and search.is_explained(best)):
