@@ -34,10 +34,6 @@ from stringcast.stages.model.model import Model
 
 STARTS = 6  # of the search for the string's parameters and the offset
 FIXED_WITHIN_S = 1e-4  # half range of an offset that is given
-# Least upper limits of the stiffness [N m/(rad kg)]: those of a clamped strip. In the
-# range of limp strings, a strip is fitted as a rigid pendulum, with an offset wrong by
-# some 10 ms.
-CLAMPED_STRIP = {"bending_stiffness": 400.0, "grasp_stiffness": 300.0}
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
@@ -47,17 +43,6 @@ def model_with_offset(model: Model, half_width: float) -> Model:
         model = model.with_effects(TimeOffset)
     ranges = {**model.measured_ranges, OFFSET: (-half_width, half_width)}
     return replace(model, measured_ranges=ranges)
-
-
-def model_up_to_strips(model: Model) -> Model:
-    """Return the model with ranges of stiffness for limp strings and strips."""
-    wider = []
-    for parameter in model.string.parameters:
-        name = parameter.name
-        if name in CLAMPED_STRIP and name not in model.measured_ranges:
-            high = max(parameter.high, CLAMPED_STRIP[name])
-            wider.append(replace(parameter, high=high))
-    return model.with_ranges(*wider)
 
 
 def fit_clock(
@@ -72,7 +57,7 @@ def fit_clock(
     Numerical error is not corrected: it moves the tip by a millimetre at most, which
     the discrepancy includes.
     """
-    model = model_with_offset(model_up_to_strips(model), half_width)
+    model = model_with_offset(model, half_width)
     second_order = with_second_order_mesh(model)
     noise_is_given = all("sigma" in o.points for o in observations)
     trials = []

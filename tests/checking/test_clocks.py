@@ -26,7 +26,7 @@ from stringcast.stages.check.finding import Severity
 from stringcast.stages.check.measured import CheckedDataset, without_spikes
 from stringcast.stages.clock import fit as clock_fit
 from stringcast.stages.clock import offset
-from stringcast.stages.clock.fit import model_up_to_strips, model_with_offset
+from stringcast.stages.clock.fit import model_with_offset
 from stringcast.stages.clock.hidden_causes import average_by_evidence
 from stringcast.stages.clock.offset import (
     ClockOffset,
@@ -138,23 +138,6 @@ def test_the_estimated_offset_is_within_its_interval(monkeypatch):
     # the profile is highest near the truth
     best = found.profile.loc[found.profile["log_likelihood"].idxmax(), "offset"]
     assert best == pytest.approx(-by, abs=FRAME_S)
-
-
-def test_ranges_of_stiffness_include_a_clamped_strip():
-    plain = plain_model(CHECKED)
-    wide = model_up_to_strips(plain)
-    by_name = {parameter.name: parameter for parameter in wide.string.parameters}
-    assert by_name["grasp_stiffness"].high == 300.0
-    before = {parameter.name: parameter for parameter in plain.string.parameters}
-    for name in ("linear_drag", "grasp_damping"):
-        assert by_name[name] == before[name]
-    # wider configured ranges and measured ranges are kept
-    grasp = replace(by_name["grasp_stiffness"], high=5e3)
-    cable = wide.with_ranges(grasp)
-    assert model_up_to_strips(cable).string == cable.string
-    measured = replace(plain, measured_ranges={"grasp_stiffness": (1.0, 2.0)})
-    ranges = model_up_to_strips(measured).string.ranges
-    assert ranges["grasp_stiffness"] == before["grasp_stiffness"]
 
 
 def push_aside(observation, acceleration):
