@@ -292,8 +292,10 @@ def _settings_with_causes(
 
 
 def _mesh_is_coarse(state: SelectionState) -> bool:
+    if state.prepared.mesh_is_model:
+        return False
     string = state.prepared.base_fit.hypothesis.model.string
-    return string.points <= SEGMENTS or string.largest_step > STEP_S
+    return string.points - 1 < SEGMENTS or string.largest_step > STEP_S
 
 
 def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:

@@ -22,7 +22,8 @@ from stringcast.stages.inference.mesh import likelihood_on_mesh
 log = logging.getLogger(__name__)
 
 SHORTER_STEP = 0.5  # factor of the time step
-# Factors of segments and of the time step, the cheapest first
+# Factors of segments and of the time step (`with_second_order_mesh`), the cheapest
+# first. The last one is only cheaper than shorter steps.
 MESHES = ((0.5, 4), (0.5, 2), (1, 4), (0.5, 1), (1, 2), (0.5, SHORTER_STEP))
 # Of the tolerance: uncertainty of a trial's correction that a coarser mesh may add
 MAX_ADDED_UNCERTAINTY = 0.1

@@ -300,7 +300,7 @@ def test_an_implicit_step_handles_a_steep_moment_like_small_explicit_steps(name,
         np.linalg.norm(tip(string, step) - exact, axis=-1).max()
         for step in (1e-3, 2.5e-4)
     ]
-    assert off[0] < 1e-3
+    assert off[0] < 1e-3  # 0.75 mm for beta = 1/4, times 1.3
     assert off[1] < 0.25 * off[0]
 
 
