@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.stages.generate.curves import Curves
-from stringcast.stages.inference.mesh import refine_mesh
-from stringcast.stages.model.engine.accuracy import richardson_limit
+from stringcast.stages.inference.mesh import extrapolate_error, refine_mesh
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 
@@ -50,6 +49,4 @@ class MeshCorrection:
         for factor in self.factors:
             finer, _ = refine_mesh(model, (), factor)
             tips.append(finer.simulate_string(motion, values, times).tip)
-        limit = richardson_limit(tips[-2], tips[-1])
-        uncertainty = limit - richardson_limit(tips[0], tips[1])
-        return limit - tips[0], uncertainty
+        return extrapolate_error(*tips)

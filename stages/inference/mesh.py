@@ -171,15 +171,14 @@ def extrapolate_errors(
     return errors, uncertainties
 
 
-def extrapolate_error(
-    coarse: np.ndarray, finer: np.ndarray, finest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Extrapolate the error of the coarsest of EXTRAPOLATED_MESHES [m].
+def extrapolate_error(*meshes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Extrapolate the error of the coarsest of two or three EXTRAPOLATED_MESHES [m].
 
     Returns the limit minus the coarsest simulation, and the difference between the
     limits from the finer and the coarser two meshes.
     """
-    limit = richardson_limit(finer, finest)
+    coarse, finer, *_ = meshes
+    limit = richardson_limit(*meshes[-2:])
     return limit - coarse, limit - richardson_limit(coarse, finer)
 
 
