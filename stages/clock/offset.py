@@ -200,7 +200,7 @@ def _separate_offsets_near(
     differ by some milliseconds from trial to trial.
     """
     frame_s = _longest_frame_interval_s(trials)
-    separate, own = fit_separate_offsets(common, _posterior_of_trials, frame_s)
+    separate, own = fit_separate_offsets(common, NO_PRIOR, frame_s)
     refitted = refit_with_one_offset(common, separate, float(np.median(own.mean)))
     if not explains_more(separate, refitted):
         return None
@@ -223,13 +223,6 @@ def _offset_of_each_trial(
     ):
         by_trial[trial.name] = Interval.from_deviation(value, deviation, floor)
     return by_trial
-
-
-def _posterior_of_trials(clock: ClockFit) -> BackgroundPosterior:
-    """Compute the posterior of each trial's own offset, relative to the fit."""
-    columns = slopes_by_offset(clock)
-    precision = np.full(len(clock.data.trials), NO_PRIOR)
-    return clock_posterior(clock, effect_responses(clock), columns, precision)
 
 
 def _estimate_separate_offsets(

@@ -8,7 +8,6 @@ unexplained misfit. This is linearised at the fit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -145,10 +144,18 @@ def refit_with_one_offset(
     return better_fit(*[ClockFit(data, fit) for fit in fits])
 
 
+def posterior_of_trials(clock: ClockFit, precision: float) -> BackgroundPosterior:
+    """Compute the posterior of each trial's own offset, relative to the fit.
+
+    precision: of the prior of an offset [1/s^2].
+    """
+    columns = slopes_by_offset(clock)
+    precisions = np.full(len(clock.data.trials), precision)
+    return clock_posterior(clock, effect_responses(clock), columns, precisions)
+
+
 def fit_separate_offsets(
-    common: ClockFit,
-    posterior: Callable[[ClockFit], BackgroundPosterior],
-    frame_s: float,
+    common: ClockFit, precision: float, frame_s: float
 ) -> tuple[ClockFit, BackgroundPosterior]:
     """Fit an offset of each trial, and one string for all, from a fit with one offset.
 
@@ -158,8 +165,8 @@ def fit_separate_offsets(
     ----------
     common : ClockFit
         The fit with one offset.
-    posterior : callable
-        Computes the posterior of the trials' offsets, relative to a fit.
+    precision : float
+        Precision of the prior of an offset [1/s^2].
     frame_s : float
         Time between two frames [s]; steps end if they differ by a small part of it.
 
@@ -171,12 +178,12 @@ def fit_separate_offsets(
         The posterior of the trials' offsets, in the times of the common fit.
     """
     separate = common
-    own = posterior(common)
+    own = posterior_of_trials(common, precision)
     shift_s = np.zeros(len(common.data.trials))
     for _ in range(MAX_STEPS):
         shift_s += own.mean
         separate = _refit_with_shifts(separate, own.mean)
-        own = posterior(separate)
+        own = posterior_of_trials(separate, precision)
         if np.ptp(own.mean) < STAMP_UNCERTAINTY_FRAMES * frame_s:
             break
     return separate, replace(own, mean=shift_s + separate.offset + own.mean)

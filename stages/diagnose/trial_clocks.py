@@ -10,17 +10,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from stringcast.stages.diagnose.background_effects import BackgroundPosterior
 from stringcast.stages.diagnose.clock_offsets import (
     STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
     Interval,
-    clock_posterior,
-    effect_responses,
     explains_more,
     fit_separate_offsets,
+    posterior_of_trials,
     refit_with_one_offset,
-    slopes_by_offset,
     trials_differ,
 )
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -28,7 +25,8 @@ from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.time_offset import TimeOffset
 
-OFFSET_DEVIATION_S = 0.03  # of the prior of an offset; larger ones are refused before
+# Of the prior of an offset [1/s^2]: 30 ms, larger ones are refused before
+OFFSET_PRECISION = 0.03**-2
 
 
 def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | None:
@@ -52,12 +50,12 @@ def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | Non
     start = hypothesis.model.exponents_of_values(fit.values)
     common_fit = fit_hypothesis(data, hypothesis, start[None], fit.grid_points)
     common = ClockFit(data, common_fit)
-    own = _posterior_of_offsets(common)
+    own = posterior_of_trials(common, OFFSET_PRECISION)
     frame_s = max(float(np.median(np.diff(trial.times))) for trial in data.trials)
     if not trials_differ(own, frame_s):
         return None
 
-    separate, own = fit_separate_offsets(common, _posterior_of_offsets, frame_s)
+    separate, own = fit_separate_offsets(common, OFFSET_PRECISION, frame_s)
     # The fit with one offset may have missed the string found with several
     common = refit_with_one_offset(common, separate, float(np.median(own.mean)))
     if not explains_more(separate, common):
@@ -75,13 +73,6 @@ def _with_offset(hypothesis: Hypothesis) -> Hypothesis:
     """Make the offset of the clocks a parameter of the base model."""
     others = tuple(c for c in hypothesis.causes if c is not TimeOffset)
     return Hypothesis(hypothesis.base.with_effects(TimeOffset), others)
-
-
-def _posterior_of_offsets(clock: ClockFit) -> BackgroundPosterior:
-    """Compute the posterior of the trials' offsets, relative to the fit."""
-    precision = np.full(len(clock.data.trials), OFFSET_DEVIATION_S**-2)
-    background = effect_responses(clock)
-    return clock_posterior(clock, background, slopes_by_offset(clock), precision)
 
 
 def describe_trial_clocks(by_trial: Mapping[str, Interval]) -> str:
