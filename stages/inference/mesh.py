@@ -177,9 +177,10 @@ def extrapolate_error(*meshes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns the limit minus the coarsest simulation, and the difference between the
     limits from the finer and the coarser two meshes.
     """
-    coarse, finer, *_ = meshes
-    limit = richardson_limit(*meshes[-2:])
-    return limit - coarse, limit - richardson_limit(coarse, finer)
+    coarse, second = meshes[:2]
+    last_but_one, finest = meshes[-2:]
+    limit = richardson_limit(last_but_one, finest)
+    return limit - coarse, limit - richardson_limit(coarse, second)
 
 
 def likelihood_on_mesh(likelihood: Likelihood, factor: float) -> Likelihood:
