@@ -17,10 +17,13 @@ from stringcast.pipeline.cli.console import progress_bar
 from stringcast.pipeline.modes.stored_trials import read_usable_trials
 from stringcast.pipeline.run.experiment import Experiment, prepare_experiment
 from stringcast.pipeline.settings.typed_settings import build_dataclass
-from stringcast.stages.diagnose.identifiability import DetectionLimit, detection_limits
-from stringcast.stages.diagnose.preparation import prepare_data, usable_trials
-from stringcast.stages.diagnose.proposals import effects_left_out
+from stringcast.stages.diagnose.evidence.identifiability import (
+    DetectionLimit,
+    detection_limits,
+)
 from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.search.proposals import effects_left_out
+from stringcast.stages.diagnose.trials.preparation import prepare_data, usable_trials
 from stringcast.stages.estimate.trim import trim_at_contact
 from stringcast.stages.model.effect import is_position_dependent
 from stringcast.stages.model.library import effects_by_name

@@ -9,18 +9,21 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.base_model import fit_base_model, fit_from_beginnings
-from stringcast.stages.diagnose.clock_offsets import (
+from stringcast.stages.diagnose.clocks.clock_offsets import (
     OFFSET,
     ClockFit,
     better_fit,
     explained_fraction,
 )
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.noise import estimate_initial_noise
-from stringcast.stages.diagnose.preparation import INITIAL_NOISE_M
-from stringcast.stages.diagnose.used_frames import trim_trailing_rest
+from stringcast.stages.diagnose.trials.base_model import (
+    fit_base_model,
+    fit_from_beginnings,
+)
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.noise import estimate_initial_noise
+from stringcast.stages.diagnose.trials.preparation import INITIAL_NOISE_M
+from stringcast.stages.diagnose.trials.used_frames import trim_trailing_rest
 from stringcast.stages.inference import solver
 from stringcast.stages.inference.discrepancy_grid import most_likely_grid_point
 from stringcast.stages.inference.hypothesis import Hypothesis

@@ -12,12 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from stringcast.stages.diagnose.background_effects import (
+from stringcast.stages.diagnose.clocks.clock_offsets import CLOCK_EFFECTS, ClockFit
+from stringcast.stages.diagnose.evidence.background_effects import (
     BackgroundPosterior,
     mix_normals,
 )
-from stringcast.stages.diagnose.clock_offsets import CLOCK_EFFECTS, ClockFit
-from stringcast.stages.diagnose.proposals import candidate_effects, propose_causes
+from stringcast.stages.diagnose.search.proposals import (
+    candidate_effects,
+    propose_causes,
+)
 from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.model.effect import is_position_dependent
 from stringcast.stages.model.library import effects_by_name

@@ -38,8 +38,7 @@ from stringcast.stages.clock.windows import (
     stretch_by_offset,
 )
 from stringcast.stages.common import Progress, partial_progress
-from stringcast.stages.diagnose.background_effects import BackgroundPosterior
-from stringcast.stages.diagnose.clock_offsets import (
+from stringcast.stages.diagnose.clocks.clock_offsets import (
     MIN_EXPLAINED_FRACTION,
     STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
@@ -54,7 +53,8 @@ from stringcast.stages.diagnose.clock_offsets import (
     time_slopes,
     trials_differ,
 )
-from stringcast.stages.diagnose.preparation import usable_trials
+from stringcast.stages.diagnose.evidence.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.trials.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
 

@@ -19,11 +19,31 @@ from stringcast.data.diagnoses import DIAGNOSIS_SUMMARY, HELD_OUT, Diagnosis
 from stringcast.data.file_checks import mark_yaml_end
 from stringcast.data.schema import DataError
 from stringcast.stages.common import InterruptRequest, Progress
-from stringcast.stages.diagnose import tables
-from stringcast.stages.diagnose.budget import ErrorBudget, error_budget, nested_fits
-from stringcast.stages.diagnose.candidate_motions import DesignSettings
-from stringcast.stages.diagnose.cause_search import search_until_trials_settle
-from stringcast.stages.diagnose.document import (
+from stringcast.stages.diagnose.clocks.trial_clocks import find_trial_clocks
+from stringcast.stages.diagnose.evidence.held_out_gain import (
+    HeldOutGain,
+    held_out_trials_misfit,
+    measure_gain,
+)
+from stringcast.stages.diagnose.evidence.intervals import parameter_uncertainty
+from stringcast.stages.diagnose.evidence.measures import tip_shift_rms
+from stringcast.stages.diagnose.evidence.posteriors import (
+    limit_by_agreement,
+    swap_lookalikes_until_stable,
+)
+from stringcast.stages.diagnose.proposal.candidate_motions import DesignSettings
+from stringcast.stages.diagnose.proposal.experiment_design import (
+    ProposedExperiment,
+    Rivals,
+    design_experiment,
+)
+from stringcast.stages.diagnose.results import tables
+from stringcast.stages.diagnose.results.budget import (
+    ErrorBudget,
+    error_budget,
+    nested_fits,
+)
+from stringcast.stages.diagnose.results.document import (
     FORMAT_VERSION,
     alternatives_document,
     budget_document,
@@ -37,30 +57,14 @@ from stringcast.stages.diagnose.document import (
     unexplained_document,
     verdict_sentences,
 )
-from stringcast.stages.diagnose.experiment_design import (
-    ProposedExperiment,
-    Rivals,
-    design_experiment,
-)
-from stringcast.stages.diagnose.held_out_gain import (
-    HeldOutGain,
-    held_out_trials_misfit,
-    measure_gain,
-)
-from stringcast.stages.diagnose.intervals import parameter_uncertainty
-from stringcast.stages.diagnose.measures import tip_shift_rms
-from stringcast.stages.diagnose.posteriors import (
-    limit_by_agreement,
-    swap_lookalikes_until_stable,
-)
-from stringcast.stages.diagnose.preparation import usable_trials
-from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.diagnose.proposals import effects_left_out
 from stringcast.stages.diagnose.rules import Criteria, has_evidence, misfit_remains
-from stringcast.stages.diagnose.selection_state import SelectionState
+from stringcast.stages.diagnose.search.cause_search import search_until_trials_settle
+from stringcast.stages.diagnose.search.proposals import effects_left_out
+from stringcast.stages.diagnose.search.selection_state import SelectionState
 from stringcast.stages.diagnose.settings import DiagnosisSettings
-from stringcast.stages.diagnose.trial_clocks import find_trial_clocks
-from stringcast.stages.diagnose.trials_by_use import TrialsByUse
+from stringcast.stages.diagnose.trials.preparation import usable_trials
+from stringcast.stages.diagnose.trials.prepared_data import PreparedData
+from stringcast.stages.diagnose.trials.trials_by_use import TrialsByUse
 from stringcast.stages.diagnose.verdict import (
     Judgement,
     decide_verdict,

@@ -59,7 +59,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from stringcast.stages.diagnose.measures import (
+from stringcast.stages.diagnose.evidence.measures import (
     cross_validated_gain,
     explained_fractions,
     fixed_leave_one_out_gain,

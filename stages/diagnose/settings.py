@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from scipy.special import ndtri
 
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.candidate_motions import DesignSettings
+from stringcast.stages.diagnose.proposal.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.model.box import Box

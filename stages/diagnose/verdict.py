@@ -9,14 +9,20 @@ from itertools import chain
 import numpy as np
 
 from stringcast.stages.common import MM_PER_M, readable_name
-from stringcast.stages.diagnose.background_effects import background_responses
-from stringcast.stages.diagnose.clock_offsets import Interval
-from stringcast.stages.diagnose.measures import (
+from stringcast.stages.diagnose.clocks.clock_offsets import Interval
+from stringcast.stages.diagnose.evidence.background_effects import background_responses
+from stringcast.stages.diagnose.evidence.measures import (
     mean_explained_fraction,
     refit,
     unexplained_tip_rms,
 )
-from stringcast.stages.diagnose.posteriors import Posteriors
+from stringcast.stages.diagnose.evidence.posteriors import Posteriors
+from stringcast.stages.diagnose.evidence.single_effect import (
+    SingleEffectPosterior,
+    bootstrap_weights,
+    inclusion_probabilities,
+    single_effect_posterior,
+)
 from stringcast.stages.diagnose.rules import (
     Criteria,
     VerdictNumbers,
@@ -28,13 +34,7 @@ from stringcast.stages.diagnose.rules import (
     predicts_better,
     unresolved_by_simulation,
 )
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.single_effect import (
-    SingleEffectPosterior,
-    bootstrap_weights,
-    inclusion_probabilities,
-    single_effect_posterior,
-)
+from stringcast.stages.diagnose.search.selection_state import SelectionState
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import (
     DISCREPANCY_DRAWS,

@@ -23,7 +23,7 @@ import pandas as pd
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
-from stringcast.stages.diagnose.probabilities import PRIOR_NO_EFFECT
+from stringcast.stages.diagnose.evidence.probabilities import PRIOR_NO_EFFECT
 from stringcast.stages.model.effect import Effect
 
 Causes = tuple[str, ...]  # names of effects that act together, sorted

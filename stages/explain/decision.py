@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stringcast.stages.common import MM_PER_M, describe_causes
-from stringcast.stages.diagnose.probabilities import effect_probabilities
+from stringcast.stages.diagnose.evidence.probabilities import effect_probabilities
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
     Causes,

@@ -18,7 +18,7 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
 from stringcast.data.explanations import Explanation
 from stringcast.stages.common import Progress
-from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.search.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching

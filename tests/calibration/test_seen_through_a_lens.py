@@ -11,7 +11,7 @@ from conftest import specimen, swing
 
 from stringcast.data.artifacts import Film
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench, VirtualCamera
-from stringcast.stages.diagnose.proposals import candidate_effects
+from stringcast.stages.diagnose.search.proposals import candidate_effects
 from stringcast.stages.execute.execute import execute
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import footage_from_joints

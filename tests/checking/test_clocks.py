@@ -42,9 +42,8 @@ from stringcast.stages.clock.windows import (
     onset_window,
     possible_windows,
 )
-from stringcast.stages.diagnose import clock_offsets
-from stringcast.stages.diagnose.background_effects import BackgroundPosterior
-from stringcast.stages.diagnose.clock_offsets import (
+from stringcast.stages.diagnose.clocks import clock_offsets
+from stringcast.stages.diagnose.clocks.clock_offsets import (
     OFFSET,
     Interval,
     clock_posterior,
@@ -52,6 +51,7 @@ from stringcast.stages.diagnose.clock_offsets import (
     refit_with_one_offset,
     scatter_of_trials,
 )
+from stringcast.stages.diagnose.evidence.background_effects import BackgroundPosterior
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.tip_mass import TipMass

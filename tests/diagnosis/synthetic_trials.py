@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
-from stringcast.stages.diagnose.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.diagnose import diagnose
+from stringcast.stages.diagnose.proposal.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stringcast.stages.diagnose import agreement
-from stringcast.stages.diagnose.agreement import log_bayes_factor_of_trials
+from stringcast.stages.diagnose.evidence import agreement
+from stringcast.stages.diagnose.evidence.agreement import log_bayes_factor_of_trials
 
 
 def bayes_factor(estimates, amplitude, *, move=lambda chi: chi - 0.5, amplitudes=None):

@@ -5,9 +5,9 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import diagnose_trials, make_observation
 
-from stringcast.stages.diagnose import cause_search
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.search import cause_search
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.model.hand import resample_joint_motion
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.state import StringState

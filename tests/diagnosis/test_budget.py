@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from stringcast.stages.diagnose import budget
+from stringcast.stages.diagnose.results import budget
 
 
 def test_a_cause_that_explains_nothing_has_a_share_of_zero(monkeypatch):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import (
+from stringcast.stages.diagnose.search import (
     candidate_comparison,
     rival_comparison,
     selection_step,
 )
-from stringcast.stages.diagnose.proposals import Proposal
-from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.search.proposals import Proposal
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
 
 SIX = ["e0", "e1", "e2", "e3", "e4", "e5"]
 

@@ -7,9 +7,9 @@ import pytest
 from conftest import ordinary
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import cause_exchange
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.search import cause_exchange
+from stringcast.stages.diagnose.search.selection_state import SelectionState
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.model.library import effects_by_name

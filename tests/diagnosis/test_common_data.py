@@ -8,12 +8,12 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import common_data
-from stringcast.stages.diagnose.discretisation import (
+from stringcast.stages.diagnose.trials import common_data
+from stringcast.stages.diagnose.trials.discretisation import (
     subtract_discretisation_error,
     with_second_order_mesh,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.trials.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit
 from stringcast.stages.inference.prepared_trial import prepare_trial

@@ -7,19 +7,19 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, SIGMA, SWING
 
-from stringcast.stages.diagnose import experiment_design
-from stringcast.stages.diagnose.candidate_motions import (
+from stringcast.stages.diagnose.proposal import experiment_design
+from stringcast.stages.diagnose.proposal.candidate_motions import (
     DesignSettings,
     sample_motions_within_limits,
     synthetic_trial,
 )
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.experiment_design import (
+from stringcast.stages.diagnose.proposal.experiment_design import (
     Rivals,
     _most_different_motions,
     design_experiment,
 )
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.generate.curves import Curves
 from stringcast.stages.generate.generate import arm_faults
 from stringcast.stages.inference.discrepancy_grid import (

@@ -16,11 +16,13 @@ from synthetic_trials import (
 )
 
 from stringcast.stages.common import InterruptRequest
-from stringcast.stages.diagnose import cause_search, held_out_gain, tables
 from stringcast.stages.diagnose import diagnose as module
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.evidence import held_out_gain
+from stringcast.stages.diagnose.results import tables
 from stringcast.stages.diagnose.rules import is_supported
+from stringcast.stages.diagnose.search import cause_search
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference.basis import place_functions
 from stringcast.stages.inference.discrepancy import Discrepancy
 from stringcast.stages.inference.discrepancy_basis import matern_root

@@ -8,11 +8,11 @@ from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, simulate_trial, swing_angles
 
 from stringcast.stages.check.overview import detection_limit_text
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.identifiability import detection_limits
-from stringcast.stages.diagnose.measures import fixed_leave_one_out_gain
-from stringcast.stages.diagnose.prepared_data import PreparedData
+from stringcast.stages.diagnose.evidence.identifiability import detection_limits
+from stringcast.stages.diagnose.evidence.measures import fixed_leave_one_out_gain
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.prepared_data import PreparedData
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import pytest
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import cause_search, verdict
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.selection_step import SelectionStep
-from stringcast.stages.diagnose.single_effect import SingleEffectPosterior
+from stringcast.stages.diagnose import verdict
+from stringcast.stages.diagnose.evidence.single_effect import SingleEffectPosterior
+from stringcast.stages.diagnose.search import cause_search
+from stringcast.stages.diagnose.search.selection_state import SelectionState
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
 from tests.diagnosis.test_forward_selection import diagnose_casts, interrupt
 
 

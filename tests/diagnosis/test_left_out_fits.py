@@ -7,15 +7,15 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import left_out_fits
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.left_out_fits import (
+from stringcast.stages.diagnose.evidence import left_out_fits
+from stringcast.stages.diagnose.evidence.left_out_fits import (
     MAX_GROUPS,
     _GaussNewtonSteps,
     groups_to_leave_out,
 )
-from stringcast.stages.diagnose.predictions import predict_left_out_trials
+from stringcast.stages.diagnose.evidence.predictions import predict_left_out_trials
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import best_exponents, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood

@@ -7,8 +7,8 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import SIGMA, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference import mark_places
 from stringcast.stages.inference.batch import measured_points
 from stringcast.stages.inference.hypothesis import Hypothesis

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stringcast.stages.diagnose import measures
+from stringcast.stages.diagnose.evidence import measures
 
 
 def fit(log_evidence, by_trial):

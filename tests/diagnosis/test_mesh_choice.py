@@ -7,11 +7,11 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose.discretisation import (
+from stringcast.stages.diagnose.trials.discretisation import (
     discretisation_uncertainty,
     with_second_order_mesh,
 )
-from stringcast.stages.diagnose.mesh_choice import (
+from stringcast.stages.diagnose.trials.mesh_choice import (
     MAX_ADDED_UNCERTAINTY,
     choose_mesh,
 )

@@ -13,20 +13,20 @@ from synthetic_trials import SWING, sample_curve
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.data.diagnoses import HELD_OUT
 from stringcast.pipeline.settings.model_settings import read_parameter_values
-from stringcast.stages.diagnose.document import (
-    extended_model_settings,
-    gain_document,
-    replace_non_finite,
-    widened_ranges,
-)
-from stringcast.stages.diagnose.predictions import (
+from stringcast.stages.diagnose.evidence.predictions import (
     RATED_FRAMES,
     TrialPrediction,
     matching_rate,
     matching_target,
     with_rated_frames,
 )
-from stringcast.stages.diagnose.preparation import usable_trials
+from stringcast.stages.diagnose.results.document import (
+    extended_model_settings,
+    gain_document,
+    replace_non_finite,
+    widened_ranges,
+)
+from stringcast.stages.diagnose.trials.preparation import usable_trials
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial

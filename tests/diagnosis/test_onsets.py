@@ -5,10 +5,10 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import base_model
-from stringcast.stages.diagnose.base_model import fit_from_beginnings
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials import base_model
+from stringcast.stages.diagnose.trials.base_model import fit_from_beginnings
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference.discrepancy_grid import (
     DISCREPANCY_SCALES_M,
     ONSET_SHARES,

@@ -8,10 +8,10 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, diagnose_trials, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import outlying_trials
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.outlying_trials import find_outlying_trial
-from stringcast.stages.diagnose.predictions import improves_predictions
+from stringcast.stages.diagnose.evidence.predictions import improves_predictions
+from stringcast.stages.diagnose.trials import outlying_trials
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.outlying_trials import find_outlying_trial
 from stringcast.stages.model.library import effects_by_name
 
 

@@ -8,21 +8,17 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import (
-    agreement,
-    posteriors,
-    selection_state,
-    single_effect,
-)
-from stringcast.stages.diagnose.background_effects import (
+from stringcast.stages.diagnose.evidence import agreement, posteriors, single_effect
+from stringcast.stages.diagnose.evidence.background_effects import (
     BACKGROUND_SCALES_M,
     background_log_evidence_gains,
 )
-from stringcast.stages.diagnose.prepared_data import RefinedFit
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.selection_step import SelectionStep
-from stringcast.stages.diagnose.single_effect import SingleEffectPosterior
-from stringcast.stages.diagnose.stand_ins import probability_by_shares
+from stringcast.stages.diagnose.evidence.single_effect import SingleEffectPosterior
+from stringcast.stages.diagnose.evidence.stand_ins import probability_by_shares
+from stringcast.stages.diagnose.search import selection_state
+from stringcast.stages.diagnose.search.selection_state import SelectionState
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
+from stringcast.stages.diagnose.trials.prepared_data import RefinedFit
 from stringcast.stages.inference.discrepancy_grid import log_scale_prior
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 

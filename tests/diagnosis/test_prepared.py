@@ -13,25 +13,25 @@ from synthetic_trials import (
     swing_angles,
 )
 
-from stringcast.stages.diagnose import preparation
-from stringcast.stages.diagnose.base_model import (
+from stringcast.stages.diagnose.trials import preparation
+from stringcast.stages.diagnose.trials.base_model import (
     MAX_SEARCH_ITERATIONS,
     sample_trials,
     widen_range_if_supported,
     widen_ranges_with_causes,
 )
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import (
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import (
     exclude_chaotic_trials,
     fit_mesh_correction,
     subtract_discretisation_error,
     with_second_order_mesh,
 )
-from stringcast.stages.diagnose.noise import (
+from stringcast.stages.diagnose.trials.noise import (
     _remove_trial_outliers,
     reestimate_noise,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData, RefinedFit
+from stringcast.stages.diagnose.trials.prepared_data import PreparedData, RefinedFit
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import Likelihood

@@ -11,8 +11,8 @@ import pytest
 from synthetic_trials import CRITERIA
 
 from stringcast.stages.diagnose import rules, verdict
+from stringcast.stages.diagnose.evidence.single_effect import SingleEffectPosterior
 from stringcast.stages.diagnose.rules import VerdictNumbers
-from stringcast.stages.diagnose.single_effect import SingleEffectPosterior
 
 LIMIT = CRITERIA.min_log_bayes_factor
 TOLERANCE_M = CRITERIA.tip_tolerance_m

@@ -8,17 +8,16 @@ import pytest
 from conftest import ordinary
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose import (
-    agreement,
+from stringcast.stages.diagnose import rules
+from stringcast.stages.diagnose.evidence import agreement, measures
+from stringcast.stages.diagnose.search import (
     confirmation,
     forward_selection,
-    measures,
-    rules,
     selection_state,
 )
-from stringcast.stages.diagnose.prepared_data import RefinedFit
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.selection_step import SelectionStep
+from stringcast.stages.diagnose.search.selection_state import SelectionState
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
+from stringcast.stages.diagnose.trials.prepared_data import RefinedFit
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.model.library import effects_by_name

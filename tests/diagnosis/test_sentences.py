@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.diagnose import document, summary, tables
-from stringcast.stages.diagnose.document import verdict_sentences
+from stringcast.stages.diagnose import summary
+from stringcast.stages.diagnose.results import document, tables
+from stringcast.stages.diagnose.results.document import verdict_sentences
 from stringcast.stages.diagnose.rules import is_inside_range
 from stringcast.stages.diagnose.verdict import Verdict
 from stringcast.stages.inference.discrepancy_grid import (

@@ -7,7 +7,7 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import diagnose_trials, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.model.library import effects_by_name
 
 S = np.linspace(0.03, 0.3, 10)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from stringcast.stages.diagnose import stand_ins
-from stringcast.stages.diagnose.stand_ins import (
+from stringcast.stages.diagnose.evidence import stand_ins
+from stringcast.stages.diagnose.evidence.stand_ins import (
     LARGEST_RATIO,
     SMALLEST_RATIO,
     explained_shares,

@@ -9,10 +9,11 @@ import pytest
 from conftest import measured_sample
 
 from stringcast.pipeline.commands.clock_fit import plain_model
-from stringcast.stages.diagnose import diagnose, trial_clocks
-from stringcast.stages.diagnose.document import clocks_document
-from stringcast.stages.diagnose.preparation import prepare_data
-from stringcast.stages.diagnose.trial_clocks import find_trial_clocks
+from stringcast.stages.diagnose import diagnose
+from stringcast.stages.diagnose.clocks import trial_clocks
+from stringcast.stages.diagnose.clocks.trial_clocks import find_trial_clocks
+from stringcast.stages.diagnose.results.document import clocks_document
+from stringcast.stages.diagnose.trials.preparation import prepare_data
 from stringcast.stages.diagnose.verdict import Judgement, Verdict
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import fit_hypothesis

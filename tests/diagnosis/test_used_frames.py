@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from conftest import ordinary
 
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
-from stringcast.stages.diagnose.used_frames import (
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.used_frames import (
     FRAMES_PER_SPLINE,
     KEPT_REST_S,
     thin_frames,

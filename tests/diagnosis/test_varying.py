@@ -5,8 +5,8 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit, fit_hypothesis
 from stringcast.stages.inference.prepared_trial import prepare_trial

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_trials import CRITERIA
 
-from stringcast.stages.diagnose.measures import mean_explained_fraction
+from stringcast.stages.diagnose.evidence.measures import mean_explained_fraction
 from stringcast.stages.diagnose.rules import VerdictNumbers
 from stringcast.stages.diagnose.verdict import (
     RESOLUTION,

@@ -8,22 +8,19 @@ import pytest
 from conftest import TRUTH, ordinary
 from synthetic_trials import CRITERIA, simulate_trial, swing_angles
 
-from stringcast.stages.diagnose import (
-    cause_search,
-    discretisation,
-    selection_state,
-)
-from stringcast.stages.diagnose.discretisation import (
+from stringcast.stages.diagnose.results.tables import screening_table
+from stringcast.stages.diagnose.search import cause_search, selection_state
+from stringcast.stages.diagnose.search.selection_state import SelectionState
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
+from stringcast.stages.diagnose.settings import DiagnosisSettings
+from stringcast.stages.diagnose.trials import discretisation
+from stringcast.stages.diagnose.trials.discretisation import (
     subtract_discretisation_error,
     unresolvable_trials,
     with_second_order_mesh,
 )
-from stringcast.stages.diagnose.prepared_data import PreparedData
-from stringcast.stages.diagnose.selection_state import SelectionState
-from stringcast.stages.diagnose.selection_step import SelectionStep
-from stringcast.stages.diagnose.settings import DiagnosisSettings
-from stringcast.stages.diagnose.tables import screening_table
-from stringcast.stages.diagnose.trials_by_use import TrialsByUse
+from stringcast.stages.diagnose.trials.prepared_data import PreparedData
+from stringcast.stages.diagnose.trials.trials_by_use import TrialsByUse
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import evaluate_fit
 from stringcast.stages.inference.prepared_trial import prepare_trial

@@ -14,9 +14,9 @@ from synthetic_trials import CRITERIA
 
 from stringcast.data.diagnoses import Diagnosis
 from stringcast.stages.common import InterruptRequest
-from stringcast.stages.diagnose import left_out_fits
-from stringcast.stages.diagnose.candidate_comparison import compare_candidates
-from stringcast.stages.diagnose.discretisation import with_second_order_mesh
+from stringcast.stages.diagnose.evidence import left_out_fits
+from stringcast.stages.diagnose.search.candidate_comparison import compare_candidates
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.kept_results import content_digest
 from stringcast.stages.model.effects.arm_lag import ArmLag

@@ -13,7 +13,7 @@ from estimation.test_initial_state import (
     released,
 )
 
-from stringcast.stages.diagnose.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.initial_modes import (
     with_initial_amplitudes,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from stringcast.stages.diagnose.outlying_trials import OUTLYING
+from stringcast.stages.diagnose.trials.outlying_trials import OUTLYING
 from stringcast.stages.diagnose.verdict import RESOLUTION
 
 NONE, EFFECT, UNKNOWN, PARTIAL = "none", "effect", "unknown", "partial"

@@ -21,7 +21,7 @@ from stringcast.data.dataset import read_dataset
 from stringcast.data.store import read_table
 from stringcast.pipeline.paper.scores import share_with_interval
 from stringcast.pipeline.run.provenance import code_state
-from stringcast.stages.diagnose.outlying_trials import OUTLYING
+from stringcast.stages.diagnose.trials.outlying_trials import OUTLYING
 from tests.benchmarks import draw as drawing
 from tests.benchmarks.diagnosis.answers import (
     answer_name,

@@ -1,0 +1,1 @@
+"""The evidence for causes: posteriors, intervals and predictions."""

@@ -1,0 +1,1 @@
+"""The search for causes, one at a time."""

@@ -1,0 +1,158 @@
+"""Forward selection of causes by Bayes factors, as a sum of single effects (SuSiE).
+
+For every cause in the sum all candidates and "no cause" compete. Candidates that
+explain as much as the best are kept as its look-alikes (Wang, Sarkar, Carbonetto,
+Stephens, J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stringcast.stages.diagnose.evidence.measures import unexplained_tip_rms
+from stringcast.stages.diagnose.rules import (
+    NEGLIGIBLE_LOG_EVIDENCE,
+    Criteria,
+    has_evidence,
+    is_evident,
+    moves_tip_enough,
+)
+from stringcast.stages.diagnose.search.candidate_comparison import compare_candidates
+from stringcast.stages.diagnose.search.cause_exchange import exchange_two_causes
+from stringcast.stages.diagnose.search.confirmation import (
+    drop_unconfirmed_causes,
+    reason_if_small,
+)
+from stringcast.stages.diagnose.search.selection_state import (
+    SelectionState,
+    add_cause,
+    drop_redundant_causes,
+    with_fit,
+)
+from stringcast.stages.diagnose.search.selection_step import SelectionStep
+from stringcast.stages.inference.laplace import evaluate_fit
+from stringcast.stages.model.effect import Effect
+
+log = logging.getLogger(__name__)
+
+
+def select_causes(
+    state: SelectionState,
+    effects: Sequence[type[Effect]],
+    criteria: Criteria,
+    seed: int,
+    starts: int,
+) -> Iterator[SelectionState]:
+    """Add one cause at a time to a state while the evidence supports it.
+
+    Parameters
+    ----------
+    state : SelectionState
+        State at the start; it may have causes.
+    effects : sequence of type of Effect
+        Candidates.
+    criteria : Criteria
+        Thresholds of the rules.
+    seed : int
+        Seed of random starts.
+    starts : int
+        Number of starts of the string's parameters.
+
+    Yields
+    ------
+    SelectionState
+        The state after each cause, and finally the state without causes that left-out
+        trials do not confirm.
+    """
+    for number in range(len(state.nameable_causes), criteria.max_causes):
+        rng = np.random.default_rng([seed, number])
+        state = _add_step(state, effects, criteria, seed)
+        if _is_evident_but_small(state, criteria):
+            small = _add_small_cause(state, criteria, rng, starts)
+            small = _add_step(small, effects, criteria, seed)
+            state = small if small.steps[-1].accepted else state
+        step = state.steps[-1]
+        if step.best is None or not step.accepted:
+            state = _set_aside_if_small(state, step, criteria)
+            break
+        name = step.best.hypothesis.cause_names[-1]
+        log.info("accepted: %s, log evidence %+.1f", name, step.best_gain)
+        before = state.fit.hypothesis.causes
+        state = add_cause(state, step.best, criteria, rng, starts)
+        state = exchange_two_causes(state, criteria)
+        state = drop_redundant_causes(state, criteria)
+        if state.fit.hypothesis.causes == before:
+            break  # the new cause was redundant and would be found again
+        yield state
+    yield drop_unconfirmed_causes(state, criteria, len(effects))
+
+
+def _add_step(
+    state: SelectionState,
+    effects: Sequence[type[Effect]],
+    criteria: Criteria,
+    seed: int,
+) -> SelectionState:
+    """Compare all candidates for one more cause.
+
+    A better fit without a further cause replaces the state's fit.
+    """
+    step = compare_candidates(state.prepared, state.fit, effects, criteria, seed)
+    parent = step.parent
+    if not step.accepted:
+        data = state.prepared.data
+        moved = evaluate_fit(data, parent.hypothesis, parent.chi, parent.width)
+        if moved.log_evidence > state.fit.log_evidence + NEGLIGIBLE_LOG_EVIDENCE:
+            state = with_fit(state, moved)
+    return replace(state, steps=(*state.steps, step))
+
+
+def _is_evident_but_small(state: SelectionState, criteria: Criteria) -> bool:
+    """Return whether the best cause of the last step is evident but too small.
+
+    A cause that hardly moves the tip may be more evident than one that moves it more,
+    such as a small offset of the clocks in fast motions.
+    """
+    data = state.prepared.data
+    step = state.steps[-1]
+    if step.best is None or moves_tip_enough(data, step.parent, step.best, criteria):
+        return False
+    if unexplained_tip_rms(data, step.best).max() < criteria.tip_tolerance_m:
+        return False
+    return is_evident(data, step.parent, step.best, criteria)
+
+
+def _add_small_cause(
+    state: SelectionState,
+    criteria: Criteria,
+    rng: np.random.Generator,
+    starts: int,
+) -> SelectionState:
+    """Add the best cause of the last step, to search others in addition to it."""
+    best = state.steps[-1].best
+    assert best is not None
+    cause = best.hypothesis.causes[-1]
+    log.info("%s is small; others are searched in addition to it", cause.name)
+    state = add_cause(state, best, criteria, rng, starts)
+    return replace(state, unnamed=(*state.unnamed, cause))
+
+
+def _set_aside_if_small(
+    state: SelectionState,
+    step: SelectionStep,
+    criteria: Criteria,
+) -> SelectionState:
+    """Set aside the best cause of a step if it is evident but hardly moves the tip."""
+    data = state.prepared.data
+    best = step.best
+    if best is None or not has_evidence(step.parent, best, criteria):
+        return state
+    reason = reason_if_small(data, step.parent, best, criteria)
+    if not reason:
+        return state
+    name = best.hypothesis.cause_names[-1]
+    return replace(state, set_aside={**state.set_aside, name: reason})
