@@ -16,7 +16,10 @@ MAX_TRIAL_S = 3600.0  # a trial is simulated in ticks of 5 ms: 7e5 of them
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 # of the time in which the string was seen: share with known motion of the hand
 MIN_COVERED_SHARE = 0.5
-RATE_TOLERANCE = 0.01  # relative difference of fps from the rate of the times
+# relative difference of fps from the rate of the times
+RATE_TOLERANCE = 0.01
+MIN_RATE_DIFFERENCE = 0.002  # smaller ones shift a trial of a second by half a frame
+MIN_RATE_SIGMAS = 3.0
 # allowed lead and lag of the string's onset relative to the hand's
 MAX_LEAD_S, MAX_LAG_S = 0.1, 0.3
 MAX_CLOCK_FRAMES = 4.0  # uncertainty of the clock offset, above which a note is given
@@ -134,18 +137,23 @@ def check_frame_rate(dataset: CheckedDataset) -> Iterator[Finding]:
         single = gaps[np.rint(gaps / usual) == 1]
         mean = single.mean() if len(single) else usual
         steps = np.rint(gaps / mean)
-        interval = float(np.polyfit(steps.cumsum(), t, 1)[0])
+        line, covariance = np.polyfit(steps.cumsum(), t, 1, cov=True)
+        interval, sigma = float(line[0]), float(np.sqrt(covariance[0, 0]))
+
         frames_per_sample = max(round(fps * interval), 1)
-        if abs(frames_per_sample / (interval * fps) - 1) > RATE_TOLERANCE:
-            statement = (
-                f"there are {1 / interval:.4g} frames per second, but camera.fps in "
-                f"dataset.yaml is {fps:g}"
-            )
-            remedy = (
-                "Correct the one that is wrong; in slow motion count the frames as "
-                "filmed"
-            )
-            yield warning(dataset.points_file, "t", statement, remedy, trial.name)
+        difference = abs(frames_per_sample / (interval * fps) - 1)
+        uncertainty = MIN_RATE_SIGMAS * sigma / interval
+        if difference <= max(MIN_RATE_DIFFERENCE, uncertainty):
+            continue
+        statement = (
+            f"there are {1 / interval:.4g} frames per second, but camera.fps in "
+            f"dataset.yaml is {fps:g}"
+        )
+        remedy = (
+            "Correct the one that is wrong; in slow motion count the frames as filmed"
+        )
+        report = warning if difference > RATE_TOLERANCE else note
+        yield report(dataset.points_file, "t", statement, remedy, trial.name)
 
 
 def check_overlap(dataset: CheckedDataset) -> Iterator[Finding]:

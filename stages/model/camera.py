@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stringcast.data.lazy_module import LazyModule
+from stringcast.data.metadata import MAX_FPS
 from stringcast.stages.model.lens import Lens
 
 transform = LazyModule("scipy.spatial.transform")
@@ -57,7 +58,7 @@ class Camera:
     height: Annotated[int, Field(ge=16)]
     px_per_m: Annotated[float, Field(gt=0)]
     origin_px: tuple[float, float]
-    fps: Annotated[float, Field(gt=0, le=1e5)]
+    fps: Annotated[float, Field(gt=0, le=MAX_FPS)]
     exposure: Annotated[float, Field(ge=0)] = 0.0
     distortion: float = 0.0
     rotation: float = 0.0

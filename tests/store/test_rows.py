@@ -187,6 +187,7 @@ def test_spaces_and_byte_order_mark_are_ignored(read_changed):
         ({"string": {"length": None}}, "string.length is None; it must be a number"),
         ({"noise": {"point_sigma": "small"}}, "noise.point_sigma is 'small'"),
         ({"camera": {"fps": 0}}, "camera.fps is 0; it must be above 0"),
+        ({"camera": {"fps": 1e12}}, r"camera.fps is 1000000000000.0; .* 100000.0 or"),
         (
             {"camera": {"origin_px": [1]}},
             "camera.origin_px is .1.*it must hold 2 values",
