@@ -102,8 +102,9 @@ class Dataset:
         if not self.trials:
             reasons = describe_rejected(self.rejection_reasons) or "it holds no trial"
             raise DataError(
-                f"{place}: no trial can be used ({reasons}). "
-                "Look at the files it names."
+                place,
+                f"no trial can be used ({reasons})",
+                "Look at the files it names.",
             )
 
 
@@ -148,13 +149,15 @@ def read_dataset(folder: Path) -> Dataset:
     """
     if folder.is_file():
         raise DataError(
-            f"trials={folder}: this is a file. "
-            f"Name the folder that holds it: {folder.parent}"
+            f"trials={folder}",
+            "this is a file",
+            f"Name the folder that holds it: {folder.parent}",
         )
     if not folder.is_dir():
         raise DataError(
-            f"trials={folder}: there is no such folder. "
-            "Name a run's folder or one in the data format."
+            f"trials={folder}",
+            "there is no such folder",
+            "Name a run's folder or one in the data format.",
         )
     # tables of all trials
     metadata = read_metadata(folder)
@@ -294,9 +297,10 @@ def _read_footage(
     missing = [f"camera.{key}" for key in needed if key not in camera]
     if missing and (films or has_frames) and not find_table(folder, POINTS.name):
         raise DataError(
-            f"{folder / 'dataset.yaml'}: {', '.join(missing)} must be there to make "
-            "points of frames. Add what the camera had: fps as filmed (a video may be "
-            "played slower), px_per_m, and the pixel of the origin."
+            folder / "dataset.yaml",
+            f"{', '.join(missing)} must be there to make points of frames",
+            "Add what the camera had: fps as filmed (a video may be played "
+            "slower), px_per_m, and the pixel of the origin.",
         )
     footage: dict[str, TimedImages] = {}
     counts: Mapping[str, RowCounts] = {}

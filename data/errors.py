@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import errno
 from collections.abc import Sequence
+from pathlib import Path
 
 DEFAULT_REMEDY = "Look at the disk, or choose another folder"
 REMEDIES = {
@@ -20,19 +21,36 @@ REMEDIES = {
 
 
 class ExpectedError(Exception):
-    """An error that the user can correct.
+    """An error that the user can correct; its text is `place: fault. Remedy.`.
 
     Parameters
     ----------
-    message : str
-        Such as `place: fault. Remedy.` The place is a file or an option.
+    place : str or Path
+        A file, an option, a setting or a device; empty if it is none of them.
+    fault : str
+        What is wrong, without a full stop.
+    remedy : str
+        What to do, in whole sentences or as a command at their end.
     field : str
         Column, key or line at fault; empty if it is none or unknown.
     """
 
-    def __init__(self, message: str, field: str = "") -> None:
-        super().__init__(message)
+    def __init__(
+        self, place: str | Path, fault: str, remedy: str = "", field: str = ""
+    ) -> None:
+        super().__init__(place, fault, remedy, field)
+        self.place = str(place)
+        self.fault = fault
+        self.remedy = remedy
         self.field = field
+
+    def __str__(self) -> str:
+        """Return place, fault and remedy as sentences."""
+        sentence = f"{self.place}: " if self.place else ""
+        sentence += self.fault
+        if not self.fault.endswith((".", "?")):
+            sentence += "."
+        return f"{sentence} {self.remedy}".rstrip()
 
 
 def remedy_for(error: BaseException) -> str:

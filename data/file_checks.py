@@ -74,22 +74,27 @@ def require_plain_file(path: Path, max_bytes: int | None = None) -> Path:
         status = path.stat()
     except FileNotFoundError as error:
         raise DataError(
-            f"{path}: there is no such file. Restore it, or look at its name."
+            path,
+            "there is no such file",
+            "Restore it, or look at its name.",
         ) from error
     except OSError as error:
         raise DataError(
-            f"{path}: cannot be read ({error.strerror}). "
-            "Restore it, or look at its permissions."
+            path,
+            f"cannot be read ({error.strerror})",
+            "Restore it, or look at its permissions.",
         ) from error
     if not stat.S_ISREG(status.st_mode):
         raise DataError(
-            f"{path}: it is no plain file (a folder, a pipe or a device). "
-            "Put a file there."
+            path,
+            "it is no plain file (a folder, a pipe or a device)",
+            "Put a file there.",
         )
     if max_bytes is not None and status.st_size > max_bytes:
         raise DataError(
-            f"{path}: it has {status.st_size} bytes, at most {max_bytes} are read. "
-            "Make it smaller, or split it."
+            path,
+            f"it has {status.st_size} bytes, at most {max_bytes} are read",
+            "Make it smaller, or split it.",
         )
     return path
 
@@ -101,8 +106,9 @@ def require_inside(folder: Path, path: Path) -> Path:
     """
     if not require_plain_file(path).resolve().is_relative_to(folder.resolve()):
         raise DataError(
-            f"{path}: it is a link that leaves the folder {folder}. "
-            "Put the file itself there."
+            path,
+            f"it is a link that leaves the folder {folder}",
+            "Put the file itself there.",
         )
     return path
 
@@ -160,23 +166,26 @@ def _read_mapping(
         )
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{path}: it is not text in UTF-8 ({error}). Save it as UTF-8."
+            path,
+            f"it is not text in UTF-8 ({error})",
+            "Save it as UTF-8.",
         ) from error
     except (yaml.YAMLError, ValueError, OSError) as error:
         reason, line = " ".join(str(error).split()), ""
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark:
             line = f"line {error.problem_mark.line + 1}"
             reason = f"{line}: {error.problem}"
-        raise DataError(
-            f"{path}: {fault} ({reason}). Correct it there, or restore it.", line
-        ) from error
+        remedy = "Correct it there, or restore it."
+        raise DataError(path, f"{fault} ({reason})", remedy, line) from error
     except RecursionError as error:
         raise DataError(
-            f"{path}: its blocks are nested too deeply. Make it flat."
+            path, "its blocks are nested too deeply", "Make it flat."
         ) from error
     if values is not None and not isinstance(values, dict):
         raise DataError(
-            f"{path}: it must hold names and values, like 'format: 1'. Correct it."
+            path,
+            "it must hold names and values, like 'format: 1'",
+            "Correct it.",
         )
     return values or {}
 
@@ -186,8 +195,9 @@ def refuse_interpolation(values: dict[str, Any], path: Path) -> dict[str, Any]:
     place = _interpolated_key(values)
     if place:
         raise DataError(
-            f"{path}: {place} holds '${{', which would be looked up elsewhere. "
-            "Write the value itself."
+            path,
+            f"{place} holds '${{', which would be looked up elsewhere",
+            "Write the value itself.",
         )
     return values
 
@@ -266,8 +276,9 @@ def check_csv(path: Path) -> Path:
         head = file.read(MAX_HEADER_BYTES)
     if len(head) == MAX_HEADER_BYTES and b"\n" not in head and b"\r" not in head:
         raise DataError(
-            f"{path}: its first line does not end. "
-            "It must hold the columns' names, with commas."
+            path,
+            "its first line does not end",
+            "It must hold the columns' names, with commas.",
         )
     return path
 
@@ -295,9 +306,7 @@ def read_frame(path: Path, kind: str, remedy: str, **options: Any) -> pd.DataFra
         return frame
     except (ValueError, OSError) as error:
         reason = " ".join(str(error).split())
-        raise DataError(
-            f"{path}: cannot be read as {kind} ({reason}). {remedy}"
-        ) from error
+        raise DataError(path, f"cannot be read as {kind} ({reason})", remedy) from error
 
 
 def _refuse_unnamed_values(path: Path, named: int, options: dict[str, Any]) -> None:
@@ -311,9 +320,11 @@ def _refuse_unnamed_values(path: Path, named: int, options: dict[str, Any]) -> N
     )
     if rows.iloc[:, named:].notna().any(axis=None):
         raise DataError(
-            f"{path}: its rows hold {rows.shape[1]} values, its first line names "
-            f"{named} columns. Name all columns. Decimals need a point, or semicolons "
-            "between the columns."
+            path,
+            f"its rows hold {rows.shape[1]} values, its first line names {named} "
+            "columns",
+            "Name all columns. Decimals need a point, or semicolons between the "
+            "columns.",
         )
 
 
@@ -349,9 +360,7 @@ def read_parquet(
         # a column of texts may have become the index
         return frame.astype({text: object for text in texts if text in frame}), metadata
     except READ_ERRORS as error:
-        raise DataError(
-            f"{path}: not a whole Parquet file ({error}). {remedy}"
-        ) from error
+        raise DataError(path, f"not a whole Parquet file ({error})", remedy) from error
 
 
 def read_schema(path: Path) -> pa.Schema:
@@ -365,8 +374,9 @@ def read_schema(path: Path) -> pa.Schema:
         length, magic = int.from_bytes(file.read(4), "little"), file.read(4)
     if magic == b"PAR1" and length > MAX_FOOTER_BYTES:
         raise DataError(
-            f"{path}: its footer has {length} bytes, at most {MAX_FOOTER_BYTES} are "
-            "read. Restore the file, or write it again."
+            path,
+            f"its footer has {length} bytes, at most {MAX_FOOTER_BYTES} are read",
+            "Restore the file, or write it again.",
         )
     return pq.read_schema(path)
 
@@ -387,14 +397,17 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
     size = max(stored, metadata.num_rows * metadata.num_columns * NUMBER_BYTES)
     if size > MAX_TABLE_BYTES:
         raise DataError(
-            f"{path}: {metadata.num_rows} rows of {metadata.num_columns} columns would "
-            f"take {size / 1e9:.1f} GB, at most {MAX_TABLE_BYTES / 1e9:.1f} are read. "
-            "Split it into datasets of fewer trials."
+            path,
+            f"{metadata.num_rows} rows of {metadata.num_columns} columns would "
+            f"take {size / 1e9:.1f} GB, at most "
+            f"{MAX_TABLE_BYTES / 1e9:.1f} are read",
+            "Split it into datasets of fewer trials.",
         )
     if len(schema) > MAX_COLUMNS:
         raise DataError(
-            f"{path}: it has {len(schema)} columns, at most {MAX_COLUMNS} are read. "
-            "Leave out the others."
+            path,
+            f"it has {len(schema)} columns, at most {MAX_COLUMNS} are read",
+            "Leave out the others.",
         )
     names = []
     texts = []
@@ -402,7 +415,10 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
         name, kind = column.name, column.type
         if schema.names.count(name) > 1:
             raise DataError(
-                f"{path}: it has the column '{name}' twice. Leave one out.", field=name
+                path,
+                f"it has the column '{name}' twice",
+                "Leave one out.",
+                field=name,
             )
         if not pa.types.is_nested(kind):
             names.append(name)
@@ -410,7 +426,8 @@ def check_parquet(path: Path, needed: Collection[str]) -> tuple[list[str], list[
                 texts.append(name)
         elif name in needed:
             raise DataError(
-                f"{path}: column '{name}' holds {kind}, not a value a row. "
+                path,
+                f"column '{name}' holds {kind}, not a value a row",
                 "Store plain columns.",
                 field=name,
             )

@@ -66,16 +66,19 @@ class ImageFiles(Images):
         size = image_size(path)
         if size != self._first_size:
             raise DataError(
-                f"{path}: it has {size} pixels, the first frame of its trial has "
-                f"{self._first_size}. Store all alike."
+                path,
+                f"it has {size} pixels, the first frame of its trial has "
+                f"{self._first_size}",
+                "Store all alike.",
             )
         # on Windows, imread cannot open names beyond ASCII
         content = np.frombuffer(path.read_bytes(), np.uint8)
         image: np.ndarray | None = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise DataError(
-                f"{path}: the frame is missing or damaged. "
-                "Restore it or leave its trial out."
+                path,
+                "the frame is missing or damaged",
+                "Restore it or leave its trial out.",
             )
         return image
 
@@ -93,14 +96,16 @@ class Video(Images):
         # OpenCV would also open playlists with addresses
         if not (head.startswith(VIDEO_SIGNATURES) or head[4:] in MP4_ATOMS):
             raise DataError(
-                f"{self.path}: no MP4, QuickTime, AVI or Matroska file. "
-                "Convert it, or store PNGs."
+                self.path,
+                "no MP4, QuickTime, AVI or Matroska file",
+                "Convert it, or store PNGs.",
             )
         capture = cv2.VideoCapture(str(self.path))
         if not capture.isOpened():
             raise DataError(
-                f"{self.path}: not a video that OpenCV can read. "
-                "Convert it, or store frames as PNG."
+                self.path,
+                "not a video that OpenCV can read",
+                "Convert it, or store frames as PNG.",
             )
         width = capture.get(cv2.CAP_PROP_FRAME_WIDTH)
         height = capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
@@ -108,8 +113,10 @@ class Video(Images):
         frames = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         if frames > MAX_VIDEO_FRAMES:
             raise DataError(
-                f"{self.path}: it says it has {frames:.0f} frames, at most "
-                f"{MAX_VIDEO_FRAMES} are read. Cut it."
+                self.path,
+                f"it says it has {frames:.0f} frames, at most {MAX_VIDEO_FRAMES} "
+                "are read",
+                "Cut it.",
             )
         return capture
 
@@ -153,8 +160,9 @@ class Video(Images):
         good, image = self._capture.read()
         if not good:
             raise DataError(
-                f"{self.path}: frame {index} cannot be read. "
-                "Restore the file or leave its trial out."
+                self.path,
+                f"frame {index} cannot be read",
+                "Restore the file or leave its trial out.",
             )
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
@@ -171,8 +179,9 @@ def image_size(path: Path) -> str:
                 width, height = header.size
     except (Image.DecompressionBombError, OSError, ValueError, SyntaxError) as error:
         raise DataError(
-            f"{path}: the frame is missing or damaged ({error}). "
-            "Restore it or leave its trial out."
+            path,
+            f"the frame is missing or damaged ({error})",
+            "Restore it or leave its trial out.",
         ) from error
     _refuse_size(path, width, height)
     return f"{width} x {height}"
@@ -181,8 +190,10 @@ def image_size(path: Path) -> str:
 def _refuse_size(path: Path, width: float, height: float) -> None:
     if width * height > MAX_PIXELS:
         raise DataError(
-            f"{path}: it has {width:.0f} x {height:.0f} pixels, at most "
-            f"{MAX_PIXELS:.0f} are read. Store it smaller."
+            path,
+            f"it has {width:.0f} x {height:.0f} pixels, at most {MAX_PIXELS:.0f} "
+            "are read",
+            "Store it smaller.",
         )
 
 

@@ -45,8 +45,9 @@ class LazyModule:
             if library not in OPTIONAL_PACKAGES:
                 raise
             raise MissingPackageError(
-                f"{library} is needed for this and cannot be imported ({error}). "
-                f"Install it: pip install {OPTIONAL_PACKAGES[library]}"
+                "",
+                f"{library} is needed for this and cannot be imported ({error})",
+                f"Install it: pip install {OPTIONAL_PACKAGES[library]}",
             ) from error
 
     def import_now(self) -> None:

@@ -201,20 +201,24 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     content = read_yaml(require_inside(folder, path))
     if not content:
         raise DataError(
-            f"{path}: it is empty. Restore it, or write what is known: format: 1"
+            path,
+            "it is empty",
+            "Restore it, or write what is known: format: 1",
         )
     version = content.get("format", FORMAT_VERSION)
     if version != FORMAT_VERSION or isinstance(version, bool):
         raise DataError(
-            f"{path}: format is {version!r}; this version reads {FORMAT_VERSION}. "
-            "Convert it."
+            path,
+            f"format is {version!r}; this version reads {FORMAT_VERSION}",
+            "Convert it.",
         )
     try:
         Metadata.model_validate(content)
     except ValidationError as error:
         key, fault = _first_fault(error)
         raise DataError(
-            f"{path}: {key} {fault}. "
+            path,
+            f"{key} {fault}",
             "Correct it; all is in metres, seconds and radians.",
             field=key,
         ) from error

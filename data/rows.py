@@ -83,8 +83,9 @@ def read_csv_table(table: Table, path: Path) -> pd.DataFrame:
     frame.columns = frame.columns.str.strip()
     if len(frame.columns) == 1 and len(table.columns) > 1:
         raise DataError(
-            f"{path}: it has one column, {frame.columns[0]!r}. "
-            "Separate columns by commas, with points in decimals."
+            path,
+            f"it has one column, {frame.columns[0]!r}",
+            "Separate columns by commas, with points in decimals.",
         )
     for column in table.columns:
         if column.kind == "float" and column.name in frame:

@@ -115,9 +115,10 @@ class Table:
         if missing:
             names = ", ".join(map(str, frame.columns)) or "none"
             raise DataError(
-                f"{source}: table '{self.name}' has no column "
-                f"{', '.join(map(repr, missing))}; it has {names}. Add the column or "
-                "rename yours to it.",
+                source,
+                f"table '{self.name}' has no column "
+                f"{', '.join(map(repr, missing))}; it has {names}",
+                "Add the column or rename yours to it.",
                 field=", ".join(missing),
             )
         for name in frame.columns:
@@ -158,7 +159,9 @@ def _cast(column: Column, values: pd.Series, source: str) -> pd.Series:
         is_text = pd.to_numeric(values, errors="coerce").isna() & values.notna()
         wrong = values[is_text].iloc[0] if is_text.any() else values.iloc[0]
         raise DataError(
-            f"{source}: column '{column.name}' must be {column.kind} [{column.unit}]; "
-            f"found {wrong!r} ({error}). Correct the value or remove the row.",
+            source,
+            f"column '{column.name}' must be {column.kind} [{column.unit}]; "
+            f"found {wrong!r} ({error})",
+            "Correct the value or remove the row.",
             field=column.name,
         ) from error

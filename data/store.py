@@ -95,8 +95,9 @@ def load(kind: type[Artifact], folder: Path) -> Artifact:
     """
     if not folder.is_dir():
         raise DataError(
-            f"{folder}: there is no {kind.__name__.lower()} here. "
-            "Name a run folder that holds one."
+            folder,
+            f"there is no {kind.__name__.lower()} here",
+            "Name a run folder that holds one.",
         )
     tables: dict[str, Table] = kind.TABLES  # type: ignore[attr-defined]
     content: dict[str, Any] = {
@@ -117,15 +118,17 @@ def load_images(folder: Path, frames: pd.DataFrame) -> ImageFiles:
     for file in files:
         if file_checks.is_outside(folder, str(file)):
             raise DataError(
-                f"{folder}: the frame {str(file)!r} lies outside this folder. "
-                "Put the frames there."
+                folder,
+                f"the frame {str(file)!r} lies outside this folder",
+                "Put the frames there.",
             )
     missing = [file for file in files if not (folder / file).is_file()]
     if missing and not (DIGEST_COLUMN in frames and len(missing) == len(files)):
         count = f" ({len(missing)} are)" if len(missing) > 1 else ""
         raise DataError(
-            f"{folder / missing[0]}: the frame is missing{count}. "
-            "Restore it, or leave the trial out."
+            folder / missing[0],
+            f"the frame is missing{count}",
+            "Restore it, or leave the trial out.",
         )
     return ImageFiles(folder, files)
 
@@ -150,8 +153,9 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
     """
     if not os.path.exists(path):
         raise DataError(
-            f"{path}: the file is missing. "
-            "Restore it, or run the step that makes it again."
+            path,
+            "the file is missing",
+            "Restore it, or run the step that makes it again.",
         )
     needed = [column.name for column in table.columns]
     remedy = "Restore it or delete it and run again."
@@ -160,8 +164,9 @@ def read_table(table: Table, path: Path) -> pd.DataFrame:
     name = metadata.get(b"table", table.name.encode()).decode()
     if name != table.name:
         raise DataError(
-            f"{path}: holds the table '{name}', not '{table.name}'. "
-            "Put the right file there."
+            path,
+            f"holds the table '{name}', not '{table.name}'",
+            "Put the right file there.",
         )
     return table.check(frame, str(path))
 
@@ -175,21 +180,23 @@ def read_origin(path: Path) -> dict[str, Any]:
     if path.is_dir():
         folder, path = path, min(path.glob("*.parquet"), default=path)
         if path == folder:
-            raise DataError(f"{folder}: there is no table in it. Delete the folder.")
+            raise DataError(folder, "there is no table in it", "Delete the folder.")
     try:
         metadata = file_checks.read_schema(path).metadata or {}
     except READ_ERRORS as error:
         raise DataError(
-            f"{path}: not a whole Parquet file ({error}). Restore it or delete it and "
-            "run again."
+            path,
+            f"not a whole Parquet file ({error})",
+            "Restore it or delete it and run again.",
         ) from error
     try:
         origin = json.loads(metadata.get(b"origin", b"{}"))
         Origin.model_validate(origin, strict=True)
     except (ValueError, RecursionError) as error:
         raise DataError(
-            f"{path}: its footer does not say what made it. Restore the file, or "
-            "delete it and run again."
+            path,
+            "its footer does not say what made it",
+            "Restore the file, or delete it and run again.",
         ) from error
     return dict(origin)
 
@@ -256,7 +263,9 @@ def _image_digests(folder: Path) -> dict[str, str]:
     _, texts = file_checks.check_parquet(path, columns)
     if not set(columns) <= set(texts):
         raise DataError(
-            f"{path}: the columns {' and '.join(columns)} must hold texts. Restore it."
+            path,
+            f"the columns {' and '.join(columns)} must hold texts",
+            "Restore it.",
         )
     with pq.ParquetFile(path, read_dictionary=columns) as file:
         frames = file.read(columns).to_pandas()
@@ -313,8 +322,9 @@ def write_atomically(path: Path) -> Iterator[Path]:
     except (OSError, pa.ArrowException) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(
-            f"{path}: cannot be written ({reason}). {remedy_for(error)}; "
-            "nothing half-written is left."
+            path,
+            f"cannot be written ({reason})",
+            f"{remedy_for(error)}; nothing half-written is left.",
         ) from error
     finally:
         _remove_leftovers(path)

@@ -59,8 +59,9 @@ def read_rows(table: Table, folder: Path) -> TableRows:
             GRASP: ", nor arm.parquet or arm.csv",
         }.get(table, "")
         raise DataError(
-            f"{folder}: neither {table.name}.parquet nor "
-            f"{table.name}.csv{alternative}. {_missing_table_remedy(folder)}"
+            folder,
+            f"neither {table.name}.parquet nor {table.name}.csv{alternative}",
+            _missing_table_remedy(folder),
         )
     schema = with_trial(table)
     read = read_csv_table if path.suffix == ".csv" else read_table
@@ -85,14 +86,16 @@ def _refuse_odd_trials(names: Sequence[str], path: Path) -> None:
     """Refuse too many trials, and names with control characters."""
     if len(names) > MAX_TRIALS:
         raise DataError(
-            f"{path}: it holds {len(names)} trials, at most {MAX_TRIALS} are read. "
-            "Split it."
+            path,
+            f"it holds {len(names)} trials, at most {MAX_TRIALS} are read",
+            "Split it.",
         )
     for name in names:
         if not str(name).isprintable():
             raise DataError(
-                f"{path}: the trial {str(name)!r} has a name that cannot be printed. "
-                "Give it another."
+                path,
+                f"the trial {str(name)!r} has a name that cannot be printed",
+                "Give it another.",
             )
 
 
@@ -102,9 +105,10 @@ def _frame_files(files: pd.Series, folder: Path, path: Path) -> pd.Series:
     for file in files[~exists].dropna():
         if is_outside(folder, str(file)):
             raise DataError(
-                f"{path}: the frame '{escape_control_characters(str(file))}' "
-                f"(column file) lies outside the folder {folder}. "
-                "Copy it there, and name it by its path in the folder."
+                path,
+                f"the frame '{escape_control_characters(str(file))}' (column "
+                f"file) lies outside the folder {folder}",
+                "Copy it there, and name it by its path in the folder.",
             )
     return files.where(exists)
 

@@ -167,12 +167,13 @@ def check_reach(target: Box, arm: Arm, string_length: float) -> None:
     if gap > reach:
         base_x, base_y = arm.base
         raise DataError(
-            f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm is out of reach: "
-            f"{gap * 1e3:.0f} mm from the arm's base at "
-            f"({base_x * 1e3:.0f}, {base_y * 1e3:.0f}) mm, "
-            f"arm and string reach {reach * 1e3:.0f} mm. The nearest target that they "
-            f"reach has its centre at {_nearest_centre(target, arm, reach)}. "
-            "Choose a closer target, or move arm.base."
+            f"target ({target.x * 1e3:.0f}, {target.y * 1e3:.0f}) mm",
+            f"it is out of reach, {gap * 1e3:.0f} mm from the arm's base at "
+            f"({base_x * 1e3:.0f}, {base_y * 1e3:.0f}) mm; arm and string reach "
+            f"{reach * 1e3:.0f} mm",
+            "The nearest target that they reach has its centre at "
+            f"{_nearest_centre(target, arm, reach)}. Choose a closer target, or "
+            "move arm.base.",
         )
 
 

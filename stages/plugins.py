@@ -43,16 +43,18 @@ def plugin_folders() -> dict[str, Path]:
         folder = Path(text).resolve()
         if not folder.is_dir():
             fault = "there is no such folder"
-            raise PluginError(f"plugin {text}: {fault}. {_suggest_folder(folder)}")
+            raise PluginError(f"plugin {text}", fault, _suggest_folder(folder))
         if not NAME_PATTERN.fullmatch(folder.name):
             raise PluginError(
-                f"plugin {text}: the name of its folder must consist of small letters, "
-                "digits and _. Rename it."
+                f"plugin {text}",
+                "the name of its folder must consist of small letters, digits and _",
+                "Rename it.",
             )
         if folders.setdefault(folder.name, folder) != folder:
             raise PluginError(
-                f"plugins {folders[folder.name]} and {folder}: they have the same "
-                "name. Rename one folder."
+                f"plugins {folders[folder.name]} and {folder}",
+                "they have the same name",
+                "Rename one folder.",
             )
     return folders
 
@@ -150,8 +152,9 @@ def load_object(name: str) -> Any:
     module = import_plugin_module(module_name)
     if not hasattr(module, attribute):
         raise PluginError(
-            f"{name}: {module.__file__} has no {attribute}. "
-            f"{suggest_name(attribute, [*vars(module)])}"
+            name,
+            f"{module.__file__} has no {attribute}",
+            suggest_name(attribute, [*vars(module)]),
         )
     return getattr(module, attribute)
 
@@ -184,8 +187,9 @@ def import_plugin_module(name: str) -> ModuleType:
 def _import_error(place: str, error: BaseException) -> PluginError:
     """Return the error of a plugin that cannot be imported, with its own error."""
     return PluginError(
-        f"{place}: it cannot be imported ({type(error).__name__}: {error}). "
-        "Correct it, or leave its plugin out; nothing was run."
+        place,
+        f"it cannot be imported ({type(error).__name__}: {error})",
+        "Correct it, or leave its plugin out; nothing was run.",
     )
 
 

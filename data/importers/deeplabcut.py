@@ -41,8 +41,9 @@ def read(path: Path) -> list[SourceRecording]:
     coordinates = headings.get("coords", [])
     if parts is None or len(coordinates) != width:
         raise DataError(
-            f"{path}: its lines 'bodyparts' and 'coords' do not fit its columns. "
-            "Export it again."
+            path,
+            "its lines 'bodyparts' and 'coords' do not fit its columns",
+            "Export it again.",
         )
     animals = headings.get("individuals", [""] * width)
     names = ["frame"]

@@ -50,7 +50,9 @@ def read(path: Path) -> list[SourceRecording]:
             table = file[TABLE_PATH]
             if table.dtype.itemsize * len(table) > MAX_TABLE_BYTES:
                 raise DataError(
-                    f"{path}: it has {len(table)} rows, more than are read. Split it."
+                    path,
+                    f"it has {len(table)} rows, more than are read",
+                    "Split it.",
                 )
             names = _unpickle_names(bytes(table.attrs[f"{VALUES_COLUMN}_kind"]))
             frame = pd.DataFrame(table[VALUES_COLUMN], columns=names)
@@ -64,8 +66,9 @@ def read(path: Path) -> list[SourceRecording]:
         IndexError,
     ) as error:
         raise DataError(
-            f"{path}: not a table of DeepLabCut ({error}). "
-            "Import the CSV beside it, or export it again."
+            path,
+            f"not a table of DeepLabCut ({error})",
+            "Import the CSV beside it, or export it again.",
         ) from error
 
 

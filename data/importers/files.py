@@ -33,7 +33,7 @@ def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
     results = []
     for path in paths:
         if not path.exists():
-            raise DataError(f"{path}: there is no such file. Look at its name.")
+            raise DataError(path, "there is no such file", "Look at its name.")
         if path.suffix.lower() in VIDEO_SUFFIXES:
             results.append(SourceRecording(path, pd.DataFrame(), film=path))
             continue
@@ -49,8 +49,13 @@ def read_recordings(paths: Sequence[Path]) -> list[SourceRecording]:
 def _refuse_format(path: Path) -> None:
     if path.is_dir():
         raise DataError(
-            f"{path}: this is a folder, and no dataset of LeRobot. "
-            f"Name its files: {path}/*.csv"
+            path,
+            "this is a folder, and no dataset of LeRobot",
+            f"Name its files: {path}/*.csv",
         )
     formats = ", ".join((*tables.TABLE_SUFFIXES, ".h5", ".mcap", *VIDEO_SUFFIXES))
-    raise DataError(f"{path}: no such file is read. Export it as one of {formats}.")
+    raise DataError(
+        path,
+        "no such file is read",
+        f"Export it as one of {formats}.",
+    )

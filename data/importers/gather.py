@@ -183,15 +183,17 @@ def _refuse_unknown_columns(
     for role, text in hints.columns:
         if not ROLE_PATTERN.fullmatch(role):
             raise DataError(
-                f"--map {role}={text}: '{role}' is no name of ours. "
-                f"Write one of {ROLE_HELP}."
+                f"--map {role}={text}",
+                f"'{role}' is no name of ours",
+                f"Write one of {ROLE_HELP}.",
             )
         if not any(_match_column(text, recording) for recording in recordings):
             near = difflib.get_close_matches(text.lstrip("+-"), names, 3)
             near = near or names[:12]
             raise DataError(
-                f"--map {role}={text}: no file has such a column. "
-                f"There are {', '.join(near)}."
+                f"--map {role}={text}",
+                "no file has such a column",
+                f"There are {', '.join(near)}.",
             )
 
 
@@ -199,8 +201,10 @@ def _refuse_incomplete(recordings: Sequence[SourceRecording], fault: str) -> Non
     files = ", ".join(dict.fromkeys(str(recording.file) for recording in recordings))
     columns = "; ".join(f"{r.file.name}: {list_columns(r)}" for r in recordings[:3])
     raise DataError(
-        f"{files}: {fault}. There are {columns}. "
-        f"Name columns with --map <ours>=<theirs>; ours are {ROLE_HELP}."
+        files,
+        fault,
+        f"There are {columns}. Name columns with --map <ours>=<theirs>; ours are "
+        f"{ROLE_HELP}.",
     )
 
 
@@ -349,9 +353,11 @@ def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:
     performed = list(motion["trial"].unique())
     if not {*performed} & {*filmed}:
         raise DataError(
-            f"The hand was recorded in the trials {', '.join(performed)}, the string "
-            f"in {', '.join(filmed)}. Give files of one trial the same ending, such as "
-            "robot_07.csv and tracker_07.csv, or give both a column 'trial'."
+            "",
+            f"The hand was recorded in the trials {', '.join(performed)}, the "
+            f"string in {', '.join(filmed)}",
+            "Give files of one trial the same ending, such as robot_07.csv and "
+            "tracker_07.csv, or give both a column 'trial'.",
         )
 
 

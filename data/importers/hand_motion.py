@@ -95,9 +95,11 @@ def _refuse_alike_joints(
     for one, other in pairwise(joints):
         if one.meaning.name == other.meaning.name:
             raise DataError(
-                f"{reader.recording.file}: the columns '{one.name}' and "
-                f"'{other.name}' both seem to be joint {one.meaning.name}. Name "
-                f"the joints, base first: --map 'q1={one.name}' --map q2=<column>."
+                reader.recording.file,
+                f"the columns '{one.name}' and '{other.name}' both seem to be "
+                f"joint {one.meaning.name}",
+                f"Name the joints, base first: --map 'q1={one.name}' --map "
+                "q2=<column>.",
             )
 
 
@@ -116,11 +118,12 @@ def _refuse_joint_of_other_unit(
     name = too_far[0]
     turned = np.degrees(largest[name])
     raise DataError(
-        f"{reader.recording.file}: column '{name}' reaches {turned:.0f} degrees, "
-        "which no joint does, and the other joints do not. If it holds the counts "
-        f"of an encoder, {COUNTS_PER_TURN} a turn, multiply it by "
-        f"{360 / COUNTS_PER_TURN:.6g}; if it is no joint, name those that are: "
-        "--map q1=<column>.",
+        reader.recording.file,
+        f"column '{name}' reaches {turned:.0f} degrees, which no joint does, and "
+        "the other joints do not",
+        f"If it holds the counts of an encoder, {COUNTS_PER_TURN} a turn, "
+        f"multiply it by {360 / COUNTS_PER_TURN:.6g}; if it is no joint, name "
+        "those that are: --map q1=<column>.",
         field=name,
     )
 
@@ -141,8 +144,9 @@ def _hand_columns(reader: RecordingReader) -> list[SourceColumn]:
         candidates = [name for name in bodies if words <= {*name.split()}]
         if bodies and len(candidates) != 1:
             raise DataError(
-                f"--hand {stated_hand}: {reader.recording.file} has the bodies "
-                f"{', '.join(bodies)}. Name one of them."
+                f"--hand {stated_hand}",
+                f"{reader.recording.file} has the bodies {', '.join(bodies)}",
+                "Name one of them.",
             )
     elif len(bodies) < 2:
         return columns
@@ -151,9 +155,9 @@ def _hand_columns(reader: RecordingReader) -> list[SourceColumn]:
         if len(candidates) != 1:
             names = [name.removeprefix("hand ") for name in bodies]
             raise DataError(
-                f"{reader.recording.file}: several bodies could be the hand: "
-                f"{', '.join(names)}. Name the one that holds the string: "
-                f"--hand '{names[0]}'."
+                reader.recording.file,
+                f"several bodies could be the hand: {', '.join(names)}",
+                f"Name the one that holds the string: --hand '{names[0]}'.",
             )
     return [column for column in columns if column.meaning.name in candidates]
 

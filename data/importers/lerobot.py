@@ -44,13 +44,16 @@ def read(path: Path) -> list[SourceRecording]:
     features = read_json(require_inside(path, path / INFO_FILE)).get("features")
     if not isinstance(features, dict):
         raise DataError(
-            f"{path / INFO_FILE}: it says nothing of 'features'. Restore it."
+            path / INFO_FILE,
+            "it says nothing of 'features'",
+            "Restore it.",
         )
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise DataError(
-            f"{path}: there is no Parquet file in its folder data. "
-            "Download the whole dataset."
+            path,
+            "there is no Parquet file in its folder data",
+            "Download the whole dataset.",
         )
     frames = [_read_numbers(require_inside(path, file), features) for file in files]
     table = pd.concat(frames, ignore_index=True)
@@ -78,7 +81,7 @@ def _read_numbers(path: Path, features: Mapping[str, Any]) -> pd.DataFrame:
                 columns |= dict(zip(labels, values.T, strict=True))
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:
         raise DataError(
-            f"{path}: cannot be read ({error}). Download it again."
+            path, f"cannot be read ({error})", "Download it again."
         ) from error
     return pd.DataFrame(columns)
 

@@ -59,8 +59,9 @@ def read(path: Path) -> list[SourceRecording]:
     except Exception as error:  # a damaged file raises any kind
         reason = str(error) or type(error).__name__
         raise DataError(
-            f"{path}: cannot be read as MCAP ({reason}). "
-            "Try `mcap recover`, or record it again."
+            path,
+            f"cannot be read as MCAP ({reason})",
+            "Try `mcap recover`, or record it again.",
         ) from error
     return [
         SourceRecording(path, pd.DataFrame(table), path.stem) for table in rows.values()
@@ -84,8 +85,9 @@ def _read_messages(file: Any, path: Path) -> Iterator[tuple[str, dict[str, float
     )
     if count > MAX_MESSAGES or is_huge:
         raise DataError(
-            f"{path}: it has {count} messages, at most {MAX_MESSAGES} are read. "
-            "Cut it: mcap filter."
+            path,
+            f"it has {count} messages, at most {MAX_MESSAGES} are read",
+            "Cut it: mcap filter.",
         )
     topics = [channel.topic for channel in channels]
     if all(channel.message_encoding == "json" for channel in channels):
@@ -116,8 +118,9 @@ def _position_channels(summary: Any, path: Path) -> list[Any]:
             channels.append(channel)
     if not channels:
         raise DataError(
-            f"{path}: no topic says where something is; there are "
-            f"{', '.join(descriptions)}. Record one of {', '.join(MESSAGE_TYPES)}."
+            path,
+            f"no topic says where something is; there are {', '.join(descriptions)}",
+            f"Record one of {', '.join(MESSAGE_TYPES)}.",
         )
     return channels
 

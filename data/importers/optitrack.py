@@ -64,7 +64,9 @@ def read(path: Path) -> list[SourceRecording]:
     rotation = heading.recording.get("Rotation Type", "Quaternion")
     if rotation != "Quaternion":
         raise DataError(
-            f"{path}: its rotations are {rotation}. Export it with the type Quaternion."
+            path,
+            f"its rotations are {rotation}",
+            "Export it with the type Quaternion.",
         )
     unit = UNIT_SYMBOLS.get(heading.recording.get("Length Units", "Meters"), "m")
     columns = column_labels(heading, unit)
@@ -72,8 +74,9 @@ def read(path: Path) -> list[SourceRecording]:
     for label in columns.values():
         if label in seen:
             raise DataError(
-                f"{path}: two markers or bodies have the same name ('{label}'). "
-                "Give each a name of its own in Motive, and export it again."
+                path,
+                f"two markers or bodies have the same name ('{label}')",
+                "Give each a name of its own in Motive, and export it again.",
             )
         seen.add(label)
     frame = read_frame(
@@ -98,8 +101,9 @@ def read_heading(path: Path) -> Heading:
     above = [line for line in head[1:last] if any(line)]
     if len(above) < 3:
         raise DataError(
-            f"{path}: it has no line 'Frame,Time (Seconds),...'. "
-            "Export it again, with header and names."
+            path,
+            "it has no line 'Frame,Time (Seconds),...'",
+            "Export it again, with header and names.",
         )
     recording = dict(zip(head[0][::2], head[0][1::2], strict=False))
     kinds, names, quantities = above[0], above[1], above[-1]

@@ -163,7 +163,8 @@ class RecordingReader:
         values = values * factor
         if not np.isfinite(values).any():
             raise DataError(
-                f"{self.recording.file}: column '{column.name}' holds no number. "
+                self.recording.file,
+                f"column '{column.name}' holds no number",
                 f"Correct it, or name another with --map {role}=<column>.",
                 field=column.name,
             )
@@ -188,8 +189,10 @@ class RecordingReader:
         count = int(names.isna().sum())
         if count > 0:
             raise DataError(
-                f"{self.recording.file}: {count} of {len(names)} rows name no {role} "
-                f"in column '{column.name}'. Name it there, or take the rows out.",
+                self.recording.file,
+                f"{count} of {len(names)} rows name no {role} in column "
+                f"'{column.name}'",
+                "Name it there, or take the rows out.",
                 field=column.name,
             )
         self.used_columns.append(
@@ -233,7 +236,7 @@ class RecordingReader:
         if is_open and self.hints.degrees is not None:
             unit, how = ("deg", "--deg") if self.hints.degrees else ("rad", "--rad")
         if not unit and self.recording.angle_question:
-            raise DataError(f"{self.recording.file}: {self.recording.angle_question}")
+            raise DataError(self.recording.file, self.recording.angle_question)
         if not unit:
             names = [c.name for c in same_unit or [column]]
             numbers = pd.DataFrame({name: self.numbers(name) for name in names})
@@ -269,9 +272,10 @@ class RecordingReader:
             is_down = self.hints.y_is_down and points
             return PlaneAxis(names[0]), PlaneAxis(names[1], -1.0 if is_down else 1.0)
         raise DataError(
-            f"{self.recording.file}: positions have three coordinates, a cast has two. "
-            "Choose those to the right and up: --plane x,z, or --plane=-z,y if z "
-            "points to the left."
+            self.recording.file,
+            "positions have three coordinates, a cast has two",
+            "Choose those to the right and up: --plane x,z, or --plane=-z,y if "
+            "z points to the left.",
         )
 
     def axes_of(self, columns: Collection[str]) -> tuple[PlaneAxis, PlaneAxis]:

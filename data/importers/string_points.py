@@ -40,11 +40,12 @@ def _refuse_single_coordinate(reader: RecordingReader, column: SourceColumn) -> 
     other = "y" if meaning.axis == "x" else "x"
     point = meaning.name or "tip"
     raise DataError(
-        f"{reader.recording.file}: column '{column.name}' is the only coordinate of "
-        f"the point '{point}'; its {other} is missing. There are "
-        f"{list_columns(reader.recording)}. Add the column, or name the columns of "
-        f"the points that count: --map {point}.x=<column> "
-        f"--map {point}.y=<column>.",
+        reader.recording.file,
+        f"column '{column.name}' is the only coordinate of the point '{point}'; "
+        f"its {other} is missing",
+        f"There are {list_columns(reader.recording)}. Add the column, or name "
+        f"the columns of the points that count: --map {point}.x=<column> --map "
+        f"{point}.y=<column>.",
         field=column.name,
     )
 
@@ -60,9 +61,10 @@ def _read_point(
         scale, origin = reader.hints.px_per_m, reader.hints.origin_px
         if scale is None or origin is None:
             raise DataError(
-                f"{reader.recording.file}: positions are in pixels. Give the pixels "
-                "of a metre and the pixel of the world's origin: "
-                "--px-per-m 340 --origin-px 251.5,387.5."
+                reader.recording.file,
+                "positions are in pixels",
+                "Give the pixels of a metre and the pixel of the world's "
+                "origin: --px-per-m 340 --origin-px 251.5,387.5.",
             )
         # rows of pixels count from the top
         x, y = (xy["x"] - origin[0]) / scale, (origin[1] - xy["y"]) / scale

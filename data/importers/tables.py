@@ -55,7 +55,7 @@ def _csv_options(path: Path) -> dict[str, Any]:
     with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
     if not any(line.strip() for line in head):
-        raise DataError(f"{path}: it is empty. Export it again, or leave it out.")
+        raise DataError(path, "it is empty", "Export it again, or leave it out.")
     skipped = 0
     for number, line in enumerate(head):
         if line.strip() and not line.lstrip().startswith(("#", "%")):
@@ -76,19 +76,24 @@ def _refuse_no_table(path: Path, names: list[str], row_count: int) -> None:
     """Refuse a file with too many columns, without rows, or without a heading."""
     if len(names) > MAX_COLUMNS:
         raise DataError(
-            f"{path}: it has {len(names)} columns, at most {MAX_COLUMNS} are "
-            "read. Take some out."
+            path,
+            f"it has {len(names)} columns, at most {MAX_COLUMNS} are read",
+            "Take some out.",
         )
     if row_count == 0:
         raise DataError(
-            f"{path}: it names columns and has no rows. Export it again, or leave it "
-            "out."
+            path,
+            "it names columns and has no rows",
+            "Export it again, or leave it out.",
         )
     if all(map(_is_number, names)):
         raise DataError(
-            f"{path}: its first line names no columns, it holds numbers: "
-            f"{', '.join(names[:4])}. Put a line above it such as "
-            "time_s,joint1_deg,joint2_deg,joint3_deg or time_s,tip_x_mm,tip_y_mm."
+            path,
+            "its first line names no columns, it holds numbers: "
+            f"{', '.join(names[:4])}",
+            "Put a line above it such as "
+            "time_s,joint1_deg,joint2_deg,joint3_deg or "
+            "time_s,tip_x_mm,tip_y_mm.",
         )
 
 

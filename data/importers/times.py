@@ -32,15 +32,17 @@ def read_times(reader: RecordingReader) -> np.ndarray:
         _refuse_unnamed_points(reader, clocks[0])
         if reader.hints.fps is None:
             raise DataError(
-                f"{reader.recording.file}: {fault}. Give the rate of its rows, as in "
-                "--fps 200, or export times as 64-bit numbers."
+                reader.recording.file,
+                fault,
+                "Give the rate of its rows, as in --fps 200, or export times as "
+                "64-bit numbers.",
             )
     fps = reader.hints.fps
     if not fps:
         raise DataError(
-            f"{reader.recording.file}: no column holds times; there are "
-            f"{list_columns(reader.recording)}. Name it with --map t=<column>, or "
-            "give the camera's rate with --fps 200."
+            reader.recording.file,
+            f"no column holds times; there are {list_columns(reader.recording)}",
+            "Name it with --map t=<column>, or give the camera's rate with --fps 200.",
         )
     if numbers := reader.columns_of("frame"):
         unit = f"frames, {fps:g} a second"
@@ -99,10 +101,11 @@ def _refuse_unnamed_points(reader: RecordingReader, clock: SourceColumn) -> None
             continue
         if not keys.assign(value=values).duplicated().any():
             raise DataError(
-                f"{reader.recording.file}: {row_count} rows share each time in column "
-                f"'{clock.name}', and '{name}' distinguishes them. If it names the "
-                f"point of the string: --map 'point={name}'; if not, take the column "
-                "out."
+                reader.recording.file,
+                f"{row_count} rows share each time in column '{clock.name}', and "
+                f"'{name}' distinguishes them",
+                f"If it names the point of the string: --map 'point={name}'; if "
+                "not, take the column out.",
             )
 
 
@@ -112,10 +115,12 @@ def _refuse_restarted_clock(reader: RecordingReader, column: SourceColumn) -> No
         row = _restart_row(stamps)
         if row is not None:
             raise DataError(
-                f"{reader.recording.file}: column '{column.name}'{words} goes back "
-                f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} in row {row + 1}, "
-                "to times that were already recorded: two recordings seem to be in "
-                "one. Give each a file of its own, or a column 'trial'.",
+                reader.recording.file,
+                f"column '{column.name}'{words} goes back from "
+                f"{stamps[row - 1]:.10g} to {stamps[row]:.10g} in row {row + 1}, "
+                "to times that were already recorded: two recordings seem to be "
+                "in one",
+                "Give each a file of its own, or a column 'trial'.",
                 field=column.name,
             )
 
@@ -149,10 +154,11 @@ def _refuse_unknown_counter(reader: RecordingReader) -> None:
         steps = numbers.groupby(series).diff().dropna()
         if len(steps) and (steps > 0).all() and (steps != 1).any():
             raise DataError(
-                f"{reader.recording.file}: no column holds times, and '{name}' "
-                "increases by whole numbers that are not all 1. If it is the "
-                f"number of the frame: --map 'frame={name}'; if not, take the "
-                "column out."
+                reader.recording.file,
+                f"no column holds times, and '{name}' increases by whole numbers "
+                "that are not all 1",
+                f"If it is the number of the frame: --map 'frame={name}'; if "
+                "not, take the column out.",
             )
 
 
@@ -180,9 +186,10 @@ def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
             dates = pd.to_datetime(raw, errors="coerce", utc=True, format="ISO8601")
     if dates.isna().all():
         raise DataError(
-            f"{reader.recording.file}: column '{column.name}' holds neither numbers "
-            "nor dates such as 2026-01-31 12:00:00.005; it holds "
-            f"{str(raw.iloc[0])[:40]!r}. Name another with --map t=<column>.",
+            reader.recording.file,
+            f"column '{column.name}' holds neither numbers nor dates such as "
+            f"2026-01-31 12:00:00.005; it holds {str(raw.iloc[0])[:40]!r}",
+            "Name another with --map t=<column>.",
             field=column.name,
         )
     elapsed = dates - pd.Timestamp(0, tz="UTC")
@@ -204,9 +211,10 @@ def _refuse_slow_clock(
     likely = _time_unit(step)
     renamed = f"t_{likely}" if likely != unit else "t_<unit>"
     raise DataError(
-        f"{reader.recording.file}: column '{column.name}' holds times in {unit} by "
-        f"its name, but its rows are {step:.4g} {unit} apart, which shows no "
-        f"motion. If they are in {likely}, call the column {renamed}.",
+        reader.recording.file,
+        f"column '{column.name}' holds times in {unit} by its name, but its rows "
+        f"are {step:.4g} {unit} apart, which shows no motion",
+        f"If they are in {likely}, call the column {renamed}.",
         field=column.name,
     )
 

@@ -149,8 +149,9 @@ class VelocityArm:
         angles = np.array(self.wire.angles())
         if not np.isfinite(angles).all():
             raise HardwareError(
-                f"arm on {self.wire.port}: an encoder reports no number. "
-                "Look at it before the next try."
+                f"arm on {self.wire.port}",
+                "an encoder reports no number",
+                "Look at it before the next try.",
             )
         return angles
 
@@ -222,9 +223,10 @@ class VelocityArm:
         offset = np.abs(self.angles() - angles[0]).max()
         if not offset <= START_TOLERANCE_RAD:
             raise HardwareError(
-                f"arm on {self.wire.port}: it reports a pose {np.degrees(offset):.1f} "
-                "degrees from the movement's start. Move it there first (move_to), or "
-                "check the encoders."
+                f"arm on {self.wire.port}",
+                f"it reports a pose {np.degrees(offset):.1f} degrees from the "
+                "movement's start",
+                "Move it there first (move_to), or check the encoders.",
             )
         log = self._check_and_play(angles)
         return build_performance(
@@ -259,8 +261,9 @@ class VelocityArm:
     def _refuse_latched(self) -> None:
         if self.latch_reason:
             raise HardwareError(
-                f"arm on {self.wire.port}: latched by the emergency stop "
-                f"({self.latch_reason}). Look why, make it safe, then clear it."
+                f"arm on {self.wire.port}",
+                f"latched by the emergency stop ({self.latch_reason})",
+                "Look why, make it safe, then clear it.",
             )
 
     def _test_link(self) -> None:
@@ -277,14 +280,16 @@ class VelocityArm:
         if not np.median(self.round_trips_s) <= self.driving.round_trip:
             p50, p99, longest = np.percentile(self.round_trips_s, [50, 99, 100]) * 1e3
             raise HardwareError(
-                f"arm on {self.wire.port}: a round trip takes {p50:.1f} ms (99 %: "
-                f"{p99:.1f}, longest: {longest:.1f} ms), allowed are "
-                f"{self.driving.round_trip * 1e3:.1f}. Lower the adapter's latency "
-                "timer, or change ports."
+                f"arm on {self.wire.port}",
+                f"a round trip takes {p50:.1f} ms (99 %: {p99:.1f}, longest: "
+                f"{longest:.1f} ms), allowed are "
+                f"{self.driving.round_trip * 1e3:.1f}",
+                "Lower the adapter's latency timer, or change ports.",
             )
         if not self.wire.watchdog >= 2 * self.arm.tick:
             raise HardwareError(
-                f"arm on {self.wire.port}: its watchdog of "
-                f"{self.wire.watchdog * 1e3:.0f} ms is shorter than two ticks. "
-                "Lengthen it in the device."
+                f"arm on {self.wire.port}",
+                f"its watchdog of {self.wire.watchdog * 1e3:.0f} ms is "
+                "shorter than two ticks",
+                "Lengthen it in the device.",
             )

@@ -49,8 +49,9 @@ def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
     """
     if not np.isfinite(angles).all():
         raise HardwareError(
-            "arm: the movement holds angles that are no numbers; nothing was moved. "
-            "Generate it again."
+            "arm",
+            "the movement holds angles that are no numbers; nothing was moved",
+            "Generate it again.",
         )
     speeds = arm.commanded_velocities(angles)
     accelerations = np.diff(speeds, axis=0, prepend=0.0) / arm.tick
@@ -70,6 +71,7 @@ def check_movement(arm: Arm, workspace: Workspace, angles: np.ndarray) -> None:
         if is_violated.any():
             time = float(np.argmax(is_violated)) * arm.tick
             raise HardwareError(
-                f"arm: the movement leaves {limit} at {time:.3f} s; nothing was moved. "
-                "Choose another motion."
+                "arm",
+                f"the movement leaves {limit} at {time:.3f} s; nothing was moved",
+                "Choose another motion.",
             )

@@ -167,7 +167,9 @@ def play(wire: Wire, log: MovementLog, guard: Guard, priority: int) -> None:
             pressed = guard.emergency_stop()
             if pressed:
                 wire.latch()
-                raise HardwareError(f"arm on {wire.port}: emergency stop ({pressed}).")
+                raise HardwareError(
+                    f"arm on {wire.port}", f"emergency stop ({pressed})"
+                )
             log.sent[k] = time.monotonic() - log.start
             number, log.speeds_sent[k] = wire.send(log.commanded[k])
             log.pending_ticks[number] = k
@@ -217,6 +219,7 @@ def _ramp_to_rest(
         reason += ", then the link went"
     wire.stop()
     raise HardwareError(
-        f"arm on {wire.port}: {reason} at {log.due[tick]:.3f} s; it was brought to "
-        "rest. Look at the arm, the cable and the device before the next try."
+        f"arm on {wire.port}",
+        f"{reason} at {log.due[tick]:.3f} s; it was brought to rest",
+        "Look at the arm, the cable and the device before the next try.",
     )

@@ -73,11 +73,11 @@ def apply_controls(
             continue
         if accepted[key] or reported not in UNREPORTED_VALUES:
             raise HardwareError(
-                f"{name}: source.controls.{key} is {value:g}, the driver reports "
-                f"{reported:g}. Set it to what the driver can do (v4l2-ctl "
-                "--list-ctrls "
-                "lists it), choose another source.backend, or take it out of "
-                "source.controls if it does not matter."
+                name,
+                f"source.controls.{key} is {value:g}, the driver reports {reported:g}",
+                "Set it to what the driver can do (v4l2-ctl --list-ctrls lists "
+                "it), choose another source.backend, or take it out of "
+                "source.controls if it does not matter.",
             )
         remarks.append(f"the driver can neither set nor report {key}")
     return tuple(remarks)

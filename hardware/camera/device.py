@@ -84,14 +84,16 @@ class Device(Source):
         interface = getattr(cv2, f"CAP_{self.backend}", None)
         if interface is None:
             raise HardwareError(
-                f"{self.name}: OpenCV has no backend '{self.backend}'. "
-                "Set source.backend to ANY, V4L2, DSHOW, MSMF or AVFOUNDATION."
+                self.name,
+                f"OpenCV has no backend '{self.backend}'",
+                "Set source.backend to ANY, V4L2, DSHOW, MSMF or AVFOUNDATION.",
             )
         capture = cv2.VideoCapture(self.number, interface)
         if not capture.isOpened():
             raise HardwareError(
-                f"{self.name}: it cannot be opened. Check source.number, the cable, "
-                "and that no other program uses it."
+                self.name,
+                "it cannot be opened",
+                "Check source.number, the cable, and that no other program uses it.",
             )
         try:
             form = {

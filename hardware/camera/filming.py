@@ -75,8 +75,9 @@ class FilmingCamera:
         if not self.film.wait_for(-np.inf, FIRST_FRAME_TIMEOUT_S):
             reason = self.film.failure or f"waited {FIRST_FRAME_TIMEOUT_S:g} s"
             raise HardwareError(
-                f"{self.source.name}: no frame came ({reason}). "
-                "Check the device and its cable."
+                self.source.name,
+                f"no frame came ({reason})",
+                "Check the device and its cable.",
             )
 
     def stop(self, moved_at: float) -> Recording:

@@ -38,11 +38,12 @@ class PlayedSource(Source):
             images = self.images()
             rows, columns = images[0].shape[:2]
         except DataError as error:
-            raise HardwareError(f"{self.name}: {error}") from error
+            raise HardwareError(self.name, str(error)) from error
         if (columns, rows) != (camera.width, camera.height):
             raise HardwareError(
-                f"{self.name}: images are {columns}x{rows}. "
-                "Set camera.width and camera.height to that."
+                self.name,
+                f"images are {columns}x{rows}",
+                "Set camera.width and camera.height to that.",
             )
         return PlayedStream(images, camera.fps)
 
@@ -101,8 +102,9 @@ class ImageFolder(PlayedSource):
                 names.append(path.name)
         if not names:
             raise DataError(
-                f"{self.folder}: there is no image here ({', '.join(IMAGE_SUFFIXES)}). "
-                "Name the folder that has them."
+                self.folder,
+                f"there is no image here ({', '.join(IMAGE_SUFFIXES)})",
+                "Name the folder that has them.",
             )
         return ImageFiles(self.folder, tuple(names))
 

@@ -46,35 +46,40 @@ def check_stream(stream: Stream, name: str, camera: Camera) -> tuple[str, ...]:
     frames = _read_briefly(stream)
     if len(frames) < MIN_FRAMES:
         raise HardwareError(
-            f"{name}: {len(frames)} frame(s) came in {TIMEOUT_S:g} s. "
-            "Check the cable and the light, and that no other program uses it."
+            name,
+            f"{len(frames)} frame(s) came in {TIMEOUT_S:g} s",
+            "Check the cable and the light, and that no other program uses it.",
         )
     shape, kind = frames[0].image.shape, frames[0].image.dtype
     if kind != np.uint8 or shape[2:] not in ((), (3,)):
         raise HardwareError(
-            f"{name}: its images are {kind} of shape {shape}, neither grey nor BGR of "
-            "8 bits. Choose another format (source.controls.FOURCC) or another "
-            "source.backend."
+            name,
+            f"its images are {kind} of shape {shape}, neither grey nor BGR of 8 bits",
+            "Choose another format (source.controls.FOURCC) or another source.backend.",
         )
     if shape[:2] != (camera.height, camera.width):
         raise HardwareError(
-            f"{name}: it was asked for {camera.width}x{camera.height} and gives "
-            f"{shape[1]}x{shape[0]}. Set camera.width and camera.height to what it can "
-            "do, and calibrate at that size."
+            name,
+            f"it was asked for {camera.width}x{camera.height} and gives "
+            f"{shape[1]}x{shape[0]}",
+            "Set camera.width and camera.height to what it can do, and "
+            "calibrate at that size.",
         )
     duration = max(frames[-1].arrival_time - frames[0].arrival_time, 1e-9)
     rate = (len(frames) - 1) / duration
     if abs(rate / camera.fps - 1) > RATE_TOLERANCE:
         raise HardwareError(
-            f"{name}: {rate:.1f} frames come in a second, camera.fps is "
-            f"{camera.fps:g}. Shorten the exposure, choose a quicker format "
-            "(source.controls.FOURCC) or a smaller size, or set camera.fps to what "
-            "comes."
+            name,
+            f"{rate:.1f} frames come in a second, camera.fps is {camera.fps:g}",
+            "Shorten the exposure, choose a quicker format "
+            "(source.controls.FOURCC) or a smaller size, or set camera.fps to "
+            "what comes.",
         )
     if all(np.array_equal(frame.image, frames[0].image) for frame in frames[1:]):
         raise HardwareError(
-            f"{name}: its images are all the same to the bit, as no sensor's are. Take "
-            "the lid off the lens, give it light, and plug it in again."
+            name,
+            "its images are all the same to the bit, as no sensor's are",
+            "Take the lid off the lens, give it light, and plug it in again.",
         )
     return _brightness_remarks(frames)
 

@@ -170,8 +170,9 @@ class DynamixelBus:
             if states:
                 return self._angles(states)
         raise HardwareError(
-            f"arm on {self.port}: the servos do not answer. "
-            "Check their supply and the bus."
+            f"arm on {self.port}",
+            "the servos do not answer",
+            "Check their supply and the bus.",
         )
 
     def send(self, speeds: np.ndarray) -> tuple[int, np.ndarray]:
@@ -273,8 +274,9 @@ class DynamixelBus:
             is_open, fault = False, str(error)
         if not is_open:
             raise HardwareError(
-                f"arm on {self.port}: cannot be opened ({fault}). "
-                "Check hardware.port and the cable."
+                f"arm on {self.port}",
+                f"cannot be opened ({fault})",
+                "Check hardware.port and the cable.",
             )
         self.handler.ser.timeout = READ_BLOCK_S
         self.reader = dynamixel_sdk.GroupSyncRead(
@@ -294,28 +296,34 @@ class DynamixelBus:
             self.latched = True
             ids = " ".join(str(one.id) for one in self.servos)
             raise HardwareError(
-                f"{place} was latched by an emergency stop or its watchdog. Look why, "
-                "make it safe, then: python -m stringcast.hardware.dynamixel.clear "
-                f"{self.port} {ids}"
+                "",
+                f"{place} was latched by an emergency stop or its watchdog",
+                "Look why, make it safe, then: python -m "
+                f"stringcast.hardware.dynamixel.clear {self.port} {ids}",
             )
         fault = self._read(servo, HARDWARE_ERROR)
         if fault:
             raise HardwareError(
-                f"{place} reports hardware error {fault:#04x}. "
-                "See its manual, then reboot it."
+                "",
+                f"{place} reports hardware error {fault:#04x}",
+                "See its manual, then reboot it.",
             )
         if self._read(servo, DRIVE_MODE) & TIME_BASED_PROFILE:
             raise HardwareError(
+                "",
                 f"{place} takes accelerations as times (Drive Mode, register "
-                f"{DRIVE_MODE.address}, bit 2), so that it would keep no limit of its "
-                "own. Set a velocity-based profile with the maker's wizard."
+                f"{DRIVE_MODE.address}, bit 2), so that it would keep no limit "
+                "of its own",
+                "Set a velocity-based profile with the maker's wizard.",
             )
         limit = self._read(servo, VELOCITY_LIMIT) * VELOCITY_UNIT
         if limit < speed:
             raise HardwareError(
-                f"{place} turns at {limit:.2f} rad/s at most (its Velocity Limit, "
-                f"register {VELOCITY_LIMIT.address}), arm.speed is {speed:.2f}. Lower "
-                "that, or raise the servo's limit with the maker's wizard."
+                "",
+                f"{place} turns at {limit:.2f} rad/s at most (its Velocity "
+                f"Limit, register {VELOCITY_LIMIT.address}), arm.speed is "
+                f"{speed:.2f}",
+                "Lower that, or raise the servo's limit with the maker's wizard.",
             )
 
     def _read(self, servo: ServoSettings, register: Register) -> int:
@@ -338,9 +346,11 @@ class DynamixelBus:
         actual = self._read(servo, register)
         if actual != value:
             raise HardwareError(
-                f"arm on {self.port}: servo {servo.id} holds {actual} in register "
-                f"{register.address} where {value} was asked for; nothing was moved. "
-                "Look at its control table with the maker's wizard, or reset the servo."
+                f"arm on {self.port}",
+                f"servo {servo.id} holds {actual} in register {register.address} "
+                f"where {value} was asked for; nothing was moved",
+                "Look at its control table with the maker's wizard, or reset "
+                "the servo.",
             )
 
     def _exchange(
@@ -360,8 +370,8 @@ class DynamixelBus:
             fault = self.packets.getRxPacketError(error)
             fault = fault or self.packets.getTxRxResult(result)
         raise HardwareError(
-            f"arm on {self.port}: servo {servo.id}: {fault} "
-            "Check its id, supply and baud rate."
+            f"arm on {self.port}",
+            f"servo {servo.id}: {fault} Check its id, supply and baud rate",
         )
 
     def _write_all(self, register: Register, value: int) -> None:
@@ -385,13 +395,14 @@ class DynamixelBus:
     def _call(self, act: Callable[..., Any], *arguments: Any) -> Any:
         """Call the library; raise HardwareError for a broken connection."""
         if self.handler is None or not self.handler.is_open:
-            raise HardwareError(f"arm on {self.port}: it is not open.")
+            raise HardwareError(f"arm on {self.port}", "it is not open")
         try:
             return act(*arguments)
         except link_errors() as error:
             raise HardwareError(
-                f"arm on {self.port}: the link is gone ({error}). "
-                "The servos' bus watchdogs stop the arm."
+                f"arm on {self.port}",
+                f"the link is gone ({error})",
+                "The servos' bus watchdogs stop the arm.",
             ) from error
         finally:
             # the library does not reset this after an interruption

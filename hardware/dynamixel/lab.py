@@ -56,8 +56,10 @@ def open_lab(
     """
     if len(servos) != len(arm.links):
         raise HardwareError(
+            "",
             f"hardware.servos names {len(servos)} servos, arm.links has "
-            f"{len(arm.links)}. Match them."
+            f"{len(arm.links)}",
+            "Match them.",
         )
     bus = DynamixelBus(port, baud, servos, arm.speed, reply, patience)
     return Lab(VelocityArm(arm, bus, driving), FilmingCamera(camera, source, most_lost))

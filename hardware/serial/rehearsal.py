@@ -50,7 +50,9 @@ def emulated_device(options: Sequence[str]) -> Iterator[str]:
             port = process.stdout.readline().strip()
             if not port:
                 raise HardwareError(
-                    f"emulator: it did not start. Try it alone: {' '.join(command)}"
+                    "emulator",
+                    "it did not start",
+                    f"Try it alone: {' '.join(command)}",
                 )
             yield port
         finally:

@@ -80,14 +80,18 @@ class SerialWire:
         assert isinstance(greeting, Greeting)
         if (greeting.version, greeting.joints) != (PROTOCOL_VERSION, JOINT_COUNT):
             raise HardwareError(
-                f"arm on {self.port}: the device speaks version {greeting.version} for "
-                f"{greeting.joints} joints, this is version {PROTOCOL_VERSION} for "
-                f"{JOINT_COUNT}. Update the older one (hardware/serial/README.md)."
+                f"arm on {self.port}",
+                f"the device speaks version {greeting.version} for "
+                f"{greeting.joints} joints, this is version {PROTOCOL_VERSION} "
+                f"for {JOINT_COUNT}",
+                "Update the older one (hardware/serial/README.md).",
             )
         if greeting.state is DeviceState.LATCHED:
             raise HardwareError(
-                f"arm on {self.port}: latched by an emergency stop. Look why, make it "
-                f"safe, then: python -m stringcast.hardware.serial.clear {self.port}"
+                f"arm on {self.port}",
+                "latched by an emergency stop",
+                "Look why, make it safe, then: python -m "
+                f"stringcast.hardware.serial.clear {self.port}",
             )
         self.watchdog = greeting.watchdog * 1e-3
 
@@ -100,9 +104,10 @@ class SerialWire:
         assert isinstance(answer, LimitsAnswer)
         if answer.values != wanted:
             raise HardwareError(
-                f"arm on {self.port}: the device does not enforce the limits of "
-                f"conf/arm, {wanted}, but {answer.values}. See what it can "
-                "(hardware/serial/README.md)."
+                f"arm on {self.port}",
+                f"the device does not enforce the limits of conf/arm, {wanted}, "
+                f"but {answer.values}",
+                "See what it can (hardware/serial/README.md).",
             )
 
     def close(self) -> None:
@@ -161,8 +166,9 @@ class SerialWire:
             )
         except (serial.SerialException, OSError, ValueError) as error:
             raise HardwareError(
-                f"arm on {self.port}: cannot be opened ({error}). "
-                "Check hardware.port and the cable."
+                f"arm on {self.port}",
+                f"cannot be opened ({error})",
+                "Check hardware.port and the cable.",
             ) from error
 
     def _unwrap_clock(self, micros: int) -> float:
@@ -197,13 +203,14 @@ class SerialWire:
         if self.last_refusal:
             refusal = f" with anything that can be used ({self.last_refusal})"
         raise HardwareError(
-            f"arm on {self.port}: the device does not answer{refusal}. "
-            "Is it switched on, and this its port?"
+            f"arm on {self.port}",
+            f"the device does not answer{refusal}",
+            "Is it switched on, and this its port?",
         )
 
     def _send(self, kind: FrameKind, values: tuple[float, ...] = ()) -> int:
         if self.link is None:
-            raise HardwareError(f"arm on {self.port}: it is not open.")
+            raise HardwareError(f"arm on {self.port}", "it is not open")
         self.sequence = (self.sequence + 1) % 2**16
         try:
             self.link.write(encode_command(Command(kind, self.sequence, values)))
@@ -229,8 +236,9 @@ class SerialWire:
 
     def _link_error(self, error: Exception) -> HardwareError:
         return HardwareError(
-            f"arm on {self.port}: the link is gone ({error}). "
-            "The device's watchdog stops the arm."
+            f"arm on {self.port}",
+            f"the link is gone ({error})",
+            "The device's watchdog stops the arm.",
         )
 
 
@@ -241,7 +249,8 @@ def check_latency(
     timer = devices / Path(port).resolve().name / "latency_timer"
     if timer.exists() and int(timer.read_text()) > 1:
         raise HardwareError(
-            f"arm on {port}: the adapter's latency timer is "
-            f"{timer.read_text().strip()} ms; a 5 ms loop needs 1. "
-            f"Run: echo 1 | sudo tee {timer}"
+            f"arm on {port}",
+            f"the adapter's latency timer is {timer.read_text().strip()} ms; a 5 "
+            "ms loop needs 1",
+            f"Run: echo 1 | sudo tee {timer}",
         )

@@ -232,7 +232,9 @@ class VirtualArm:
         bench = self.bench
         if bench.pose is None:
             raise HardwareError(
-                "virtual arm: it is nowhere yet. Call move_to before perform."
+                "virtual arm",
+                "it is nowhere yet",
+                "Call move_to before perform.",
             )
         t, speeds = commands["t"].to_numpy(), commands[list(SPEEDS)].to_numpy()
         fine, turned = bench.servo.follow_commands(t, speeds, bench.random_generator(1))
@@ -287,8 +289,9 @@ class VirtualCamera:
         bench, camera = self.bench, self.bench.camera
         if bench.performed_motion is None:
             raise HardwareError(
-                "virtual camera: nothing was performed. "
-                "Perform a motion before filming it."
+                "virtual camera",
+                "nothing was performed",
+                "Perform a motion before filming it.",
             )
         first, last = bench.performed_motion[0][[0, -1]]
         first_frame = np.ceil(first * camera.fps - 1e-6)

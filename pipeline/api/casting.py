@@ -102,8 +102,9 @@ def simulate(
     simulated = model.simulate_string(hand, model.values({})[None], t)
     if not simulated.finite[0]:
         raise DataError(
-            "simulate(): this string does not stay finite in this motion. "
-            "Reduce string.largest_step."
+            "simulate()",
+            "this string does not stay finite in this motion",
+            "Reduce string.largest_step.",
         )
     s = model.string.arc_lengths()
     points = simulated.points[0].reshape(-1, 2)  # (T n, 2)

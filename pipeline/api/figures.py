@@ -43,8 +43,9 @@ def diagnosis_figure(residuals: pd.DataFrame, gain: pd.DataFrame) -> ShownFigure
     """
     if residuals.empty and gain.empty:
         raise DataError(
-            "plot(): there is nothing to draw, because too few trials could be used. "
-            "Look at print(trials)."
+            "plot()",
+            "there is nothing to draw, because too few trials could be used",
+            "Look at print(trials).",
         )
     figure = ShownFigure(figsize=(9.0, 3.6), layout="constrained")
     place, bars = figure.subplots(1, 2, width_ratios=(1.0, 1.2))

@@ -90,8 +90,9 @@ class KnownString:
         run = Path(folder)
         if not run.exists():
             raise UserError(
-                f"{run}: there is no such folder. "
-                "Name that of casts, an estimation or a diagnosis."
+                run,
+                "there is no such folder",
+                "Name that of casts, an estimation or a diagnosis.",
             )
         estimates = artifact_tables(run, "estimate", "parameters")
         if (run / EXTENDED).exists() or not estimates:
@@ -100,13 +101,16 @@ class KnownString:
         for name in ("string", "effects"):
             if name not in settings:
                 raise UserError(
-                    f"{run / 'config.json'}: the setting {name!r} is missing. Another "
-                    "version of this code made the run."
+                    run / "config.json",
+                    f"the setting {name!r} is missing",
+                    "Another version of this code made the run.",
                 )
         table = read_table(PARAMETERS, estimates[-1]).set_index("name")
         if not table.index.is_unique:
             raise UserError(
-                f"{estimates[-1]}: it has a parameter twice. Delete it and run again."
+                estimates[-1],
+                "it has a parameter twice",
+                "Delete it and run again.",
             )
         table = table[["value", "low", "high"]].astype(float)
         parameter_values: dict[str, Any] = table["value"].to_dict()
@@ -191,7 +195,7 @@ def experiment_for_call(
         composed = OmegaConf.create(compose_settings(words) | given)
         names = given_names(words)
     except HydraException as error:
-        raise UserError(explain_hydra_error(error)) from error
+        raise UserError("", explain_hydra_error(error)) from error
     config = composed.copy()
     for block, value in ({} if string is None else string.settings).items():
         OmegaConf.update(config, block, value, merge=True)

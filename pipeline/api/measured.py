@@ -174,12 +174,14 @@ def trials(
     """
     if (grasp is None) == (arm is None):
         raise DataError(
-            "trials(): give either grasp= (poses of the grasp) or arm= (joint angles)."
+            "trials()",
+            "give either grasp= (poses of the grasp) or arm= (joint angles)",
         )
     if arm is not None and not (len(links) == 3 and len(base) == 2):
         raise DataError(
-            "trials(): joint angles alone do not determine the hand. "
-            "Give links=(.., .., ..), base=(x, y)."
+            "trials()",
+            "joint angles alone do not determine the hand",
+            "Give links=(.., .., ..), base=(x, y).",
         )
     folder = TemporaryDirectory(prefix="stringcast-")
     for name, table in {"points": points, "grasp": grasp, "arm": arm}.items():

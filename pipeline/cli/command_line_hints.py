@@ -128,8 +128,8 @@ def refuse_mistakes(words: Sequence[str]) -> None:
     if not faults:
         return
     if suggested == list(words):
-        raise UserError(faults[0])
-    raise UserError(f"{faults[0]} Try: {shlex.join(CALL_WORDS + suggested)}")
+        raise UserError("", faults[0])
+    raise UserError("", faults[0], f"Try: {shlex.join(CALL_WORDS + suggested)}")
 
 
 def answer_words(words: Sequence[str]) -> Iterator[Answer]:

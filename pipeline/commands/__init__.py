@@ -43,7 +43,7 @@ class CommandParser(argparse.ArgumentParser):
         command = self.prog.split()[-1]
         option = re.search(r"--[a-z][\w-]*", message)
         field = option[0] if option else ""
-        raise UserError(f"{command}: {plain}. Try: {self.prog} --help", field)
+        raise UserError(command, plain, f"Try: {self.prog} --help", field)
 
 
 def add_cost_option(parser: CommandParser) -> None:

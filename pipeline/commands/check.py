@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -49,8 +48,6 @@ from stringcast.stages.report.formatting import format_count
 
 USABLE, NOT_USABLE = 0, 1  # exit statuses
 SEVERITY_COLOURS = {"error": "bold red", "warning": "yellow", "note": "dim"}
-# a sentence up to its full stop, which is not inside brackets
-SENTENCE = re.compile(r"(?:\([^()]*\)|[^()])*?(?=\.(?: [A-Z]|$))")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
         options = argument_parser().parse_intermixed_args(arguments)
         report: Path | None = options.report
         if report is not None and report.suffix != ".html":
-            raise UserError(f"--report {report}: it must end in .html. Change it.")
+            raise UserError(f"--report {report}", "it must end in .html", "Change it.")
     except UserError as wrong:
         return report_wrong_options(wrong, arguments)
     try:
@@ -78,8 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         if report is not None:
             write_text(report, check_report(checked, overview))
     except (ExpectedError, HydraException, OmegaConfBaseException) as fault:
-        field = getattr(fault, "field", "")
-        finding = finding_of_error(str(fault), field)
+        finding = finding_of_error(fault)
         overview = overview_of_unreadable(options.folder, finding)
 
     if options.json:
@@ -177,14 +173,14 @@ def check_report(checked: CheckedDataset, overview: Mapping[str, Any]) -> str:
     return check_page(checked, overview, origin, next_steps)
 
 
-def finding_of_error(message: str, field: str) -> Finding:
-    """Return the finding of an `ExpectedError` by its message and field."""
-    place, _, rest = message.partition(": ")
-    sentence = SENTENCE.match(rest)
-    statement = sentence[0] if sentence else rest
-    remedy = rest[len(statement) :].strip(". ")
+def finding_of_error(fault: Exception) -> Finding:
+    """Return the finding of an error that the user can correct."""
+    if not isinstance(fault, ExpectedError):  # of Hydra
+        return error("", "", str(fault), "")
+    place, field = fault.place, fault.field
     if place.startswith("--"):
         place, field = "", place
+    statement, remedy = fault.fault.removesuffix("."), fault.remedy.removesuffix(".")
     return error(place, field, statement, remedy)
 
 
@@ -204,7 +200,7 @@ def report_wrong_options(wrong: UserError, arguments: Sequence[str]) -> int:
     """Print an error in options as JSON if requested; otherwise raise it."""
     if "--json" not in arguments:
         raise wrong
-    finding = replace(finding_of_error(str(wrong), wrong.field), file="")
+    finding = replace(finding_of_error(wrong), file="")
     overview = overview_of_unreadable(Path(), finding) | {"folder": ""}
     print(json.dumps(overview, indent=2))
     return NOT_USABLE

@@ -88,8 +88,9 @@ def search_trials(experiment: Experiment) -> list[Observation]:
     trials, _ = usable_trials(experiment.model, given)
     if len(trials) < 2:
         raise DataError(
-            f"{experiment.config['trials']}: causes are sought in two trials or more. "
-            "Record more."
+            experiment.config["trials"],
+            "causes are sought in two trials or more",
+            "Record more.",
         )
     return trials
 

@@ -137,9 +137,10 @@ def leave_out_single_frames(tables: ImportedTables) -> ImportedTables:
     if len(short) == len(frames):
         files = {c.file.name for c in tables.used_columns if c.role.endswith("x")}
         raise DataError(
-            f"{', '.join(sorted(files))}: the string was seen in {frames.max()} "
-            f"frame(s) of a trial at most, at least {MIN_FRAMES} are needed: its "
-            "motion is unknown. Export the tracker's whole recording."
+            ", ".join(sorted(files)),
+            f"the string was seen in {frames.max()} frame(s) of a trial at most, "
+            f"at least {MIN_FRAMES} are needed: its motion is unknown",
+            "Export the tracker's whole recording.",
         )
     notes = [
         f"trial {name} is left out: the string was seen in {count} frame(s) of it"
@@ -160,8 +161,9 @@ def camera_metadata(tables: ImportedTables) -> dict[str, Any]:
     missing = [option for option, value in facts.items() if not value]
     if missing or hints.origin_px is None:
         raise DataError(
-            "a film is of no use without its frame rate, scale and origin. "
-            f"Give those of your camera, as in {' '.join(missing)}."
+            "",
+            "a film is of no use without its frame rate, scale and origin",
+            f"Give those of your camera, as in {' '.join(missing)}.",
         )
     height, width = Video(next(iter(tables.films.values())))[0].shape
     return {
@@ -227,7 +229,9 @@ def refuse_unknown_points(points: pd.DataFrame, bench: BenchHints) -> None:
         if name not in names:
             known = ", ".join(map(repr, names))
             raise DataError(
-                f"--at {name}=...: there is no such point. The points are {known}."
+                f"--at {name}=...",
+                "there is no such point",
+                f"The points are {known}.",
             )
 
 
@@ -241,9 +245,11 @@ def measure_hanging_points(tables: ImportedTables, bench: BenchHints) -> Hanging
     if resting is None:
         require_length(bench)
         raise DataError(
-            "it is unknown how far along the string each point is: not all of them "
-            "were seen at rest. Film faster or begin earlier, or give the places in "
-            "metres: --at tip=0.30."
+            "",
+            "it is unknown how far along the string each point is: not all of "
+            "them were seen at rest",
+            "Film faster or begin earlier, or give the places in metres: --at "
+            "tip=0.30.",
         )
     hanging = fit_hanging_string(resting, bench.length)
     if not hanging.is_rod:
@@ -274,8 +280,9 @@ def require_length(bench: BenchHints) -> float:
     """Return the string's length [m]; raise DataError if it is not stated."""
     if bench.length is None:
         raise DataError(
-            "the string's length is unknown. "
-            "Measure it from the grasp to the tip, and give it: --length 0.30."
+            "",
+            "the string's length is unknown",
+            "Measure it from the grasp to the tip, and give it: --length 0.30.",
         )
     return bench.length
 
@@ -288,13 +295,15 @@ def refuse_resting_points(resting: RestingPoints, hanging: HangingString) -> Non
     for name, place in zip(resting.names, resting.places[worst], strict=True):
         places.append(f"{name or 'the point'} at {format_place(hand + place)}")
     raise DataError(
+        "",
         "it is unknown how far along the string each point is: at rest they are "
-        f"{MM_PER_M * hanging.misfit_m:.0f} mm from a heavy rod in this hand. They are "
-        f"farthest from it in trial {resting.trials[worst]}: {', '.join(places)}. Look "
-        "at --links, --base and --length, at the order, signs and zeros of the joints "
-        "(--map q1=-elbow+90), at the unit and directions of x and y (--y-down), and "
-        "whether the last point is the string's end. If all are right, give the places "
-        "in metres: --at tip=0.30. A drawing then shows arm and string."
+        f"{MM_PER_M * hanging.misfit_m:.0f} mm from a heavy rod in this hand",
+        f"They are farthest from it in trial {resting.trials[worst]}: "
+        f"{', '.join(places)}. Look at --links, --base and --length, at the "
+        "order, signs and zeros of the joints (--map q1=-elbow+90), at the unit "
+        "and directions of x and y (--y-down), and whether the last point is "
+        "the string's end. If all are right, give the places in metres: --at "
+        "tip=0.30. A drawing then shows arm and string.",
     )
 
 
@@ -343,11 +352,17 @@ def align_roughly(
             trials.append(CheckedTrial(observation, None, length))
     if not trials:
         raise DataError(
-            "--clock fit: clocks are aligned by points of the string, and no trial has "
-            "both these and the hand's motion. Give the seconds to add: --clock=-0.35"
+            "--clock fit",
+            "clocks are aligned by points of the string, and no trial has both "
+            "these and the hand's motion",
+            "Give the seconds to add: --clock=-0.35",
         )
     if all(trial.is_undersampled for trial in trials):
-        raise DataError(f"points: {describe_sampling(trials[0])}. {SAMPLING_REMEDY}.")
+        raise DataError(
+            "points",
+            describe_sampling(trials[0]),
+            f"{SAMPLING_REMEDY}.",
+        )
     windows = possible_windows(trials)
     # a trial that shows no motion has the clocks of the others
     usual = float(np.median([window.middle for window in windows.values()]))

@@ -112,8 +112,9 @@ def run_facts(run: Path) -> dict[str, dict[str, Any]]:
             origins.append(origin)
     if not origins:
         raise DataError(
-            f"{run}: the run has made nothing yet. "
-            f"`python -m pipeline resume {shlex.quote(str(run))}` continues it."
+            run,
+            "the run has made nothing yet",
+            f"`python -m pipeline resume {shlex.quote(str(run))}` continues it.",
         )
     first = origins[0]
     code = UNKNOWN_CODE | first["code"]

@@ -61,8 +61,10 @@ def main(arguments: list[str]) -> int:
     if file.suffix not in WRITERS:
         endings = ", ".join(WRITERS)
         raise UserError(
-            f"{file}: its ending names no format. Give one of {endings}; "
-            "python -m pipeline export --help says what each holds."
+            file,
+            "its ending names no format",
+            f"Give one of {endings}; python -m pipeline export --help says what "
+            "each holds.",
         )
     file.parent.mkdir(parents=True, exist_ok=True)
     WRITERS[file.suffix](options)
@@ -86,8 +88,9 @@ def write_mjcf(options: argparse.Namespace) -> None:
     ):
         given = f"--mass {mass}" + (f" --step {step}" if step is not None else "")
         raise UserError(
-            f"{given}: the string's mass must be given in kg, the step in s. "
-            "Weigh it, and give --mass 0.012."
+            given,
+            "the string's mass must be given in kg, the step in s",
+            "Weigh it, and give --mass 0.012.",
         )
     step = step or choose_step(model, values)
     write_text(options.file, build_mjcf(model, values, mass, step))
@@ -177,8 +180,10 @@ def write_samples(options: argparse.Namespace) -> None:
     draws = pd.read_parquet(stored[-1]) if stored else pd.DataFrame()
     if draws.empty:
         raise UserError(
-            f"{options.run}: it holds no posterior samples. They are made by an "
-            "estimation with estimate=least_squares: name the folder of one."
+            options.run,
+            "it holds no posterior samples",
+            "They are made by an estimation with estimate=least_squares: name "
+            "the folder of one.",
         )
     estimated = Estimate.TABLES["parameters"]
     names = read_table(estimated, stored[-1].with_name("parameters.parquet"))["name"]
@@ -197,13 +202,16 @@ def write_trajectory(options: argparse.Namespace) -> None:
     stored = artifact_tables(options.run, "motion", "commands")
     if not stored:
         raise UserError(
-            f"{options.run}: it holds no motion. Name the folder of a run of casts."
+            options.run,
+            "it holds no motion",
+            "Name the folder of a run of casts.",
         )
     names = options.joints.split(",")
     if len(names) != len(JOINTS):
         raise UserError(
-            f"--joints {options.joints}: it names {len(names)} joints, and the motion "
-            "has three. Try: --joints shoulder,elbow,wrist"
+            f"--joints {options.joints}",
+            f"it names {len(names)} joints, and the motion has three",
+            "Try: --joints shoulder,elbow,wrist",
         )
     trajectory = joint_trajectory(read_table(COMMANDS, stored[-1]), names)
     if options.file.suffix == ".mcap":

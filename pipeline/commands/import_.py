@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from math import degrees, isnan
 from os.path import commonprefix
 from pathlib import Path
@@ -53,7 +54,7 @@ class UnconfirmedChangeError(DataError):
     """A correction that a person must confirm, with the command that makes it."""
 
     def __init__(self, change: Change, command: str) -> None:
-        super().__init__(f"it seems: {change.reason}. If that is so: {command}")
+        super().__init__("it seems", change.reason, f"If that is so: {command}")
         self.change = change
         self.command = command
 
@@ -63,8 +64,9 @@ class NotUsableError(DataError):
 
     def __init__(self, folder: Path, overview: dict[str, Any]) -> None:
         super().__init__(
-            f"{folder}: it was not written, because its data are not usable. The "
-            "findings above say what to do."
+            folder,
+            "it was not written, because its data are not usable",
+            "The findings above say what to do.",
         )
         self.overview = overview
 
@@ -96,12 +98,12 @@ def finding_of_refusal(files: Sequence[Path], refusal: ExpectedError) -> Finding
     if isinstance(refusal, UnconfirmedChangeError):
         change = refusal.change
         return error(change.file, change.field, change.reason, refusal.command)
-    message = str(refusal)
-    place = message.partition(": ")[0]
+    finding = check.finding_of_error(refusal)
     known = {str(file) for file in files} | {file.name for file in files}
-    if not place.startswith("--") and place.split(", ")[0] not in known:
-        message = f": {message}"
-    return check.finding_of_error(message, refusal.field)
+    if not finding.file or finding.file.split(", ")[0] in known:
+        return finding
+    statement = f"{finding.file}: {finding.statement}"
+    return replace(finding, file="", statement=statement)
 
 
 def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, Any]:
@@ -113,8 +115,9 @@ def import_files(options: argparse.Namespace, console: Terminal) -> dict[str, An
     folder: Path = options.to
     if folder.exists():
         raise UserError(
-            f"--to {folder}: the folder exists already. Name another one, or remove "
-            f"it: rm -r {shlex.quote(str(folder))}"
+            f"--to {folder}",
+            "the folder exists already",
+            f"Name another one, or remove it: rm -r {shlex.quote(str(folder))}",
         )
     recordings = read_recordings(options.files)
     options, tables, imported = interpret_recordings(recordings, options, console)
@@ -165,8 +168,9 @@ def interpret_recordings(
             change = propose_clock_fit(imported, options)
         options = confirm_change(change, options, console)
     raise DataError(
-        "The units and directions of these files stay unclear. State them by the "
-        "options that import --help lists."
+        "",
+        "The units and directions of these files stay unclear",
+        "State them by the options that import --help lists.",
     )
 
 
@@ -229,8 +233,8 @@ def propose_clock_fit(imported: ImportedDataset, options: argparse.Namespace) ->
     name = imported.trials_without_common_time[0]
     if options.clock is not None:
         raise DataError(
-            f"--clock {options.clock}: arm and camera still have no time in common in "
-            f"trial {name}."
+            f"--clock {options.clock}",
+            f"arm and camera still have no time in common in trial {name}",
         )
     hand, points = imported.hand_rows, imported.points
     hand_t = hand.loc[hand["trial"] == name, "t"]
@@ -262,7 +266,9 @@ def confirm_change(
         answer = input(f"Take it as {option}? [Y/n] ").strip().lower()
         if answer not in ("", "y", "yes"):
             raise UserError(
-                "Nothing was written. State units and directions: see import --help."
+                "",
+                "Nothing was written",
+                "State units and directions: see import --help.",
             )
     else:
         taken = f"Taken as {option}."

@@ -108,7 +108,7 @@ def change_of(
         is_turned = any(isinstance(c, PointDirections) for c in corrections)
         if is_turned and states_direction(options):
             remedies = "Look at --y-down and --plane, which are given"
-        raise DataError(f"{reason}. {remedies}.")
+        raise DataError("", reason, f"{remedies}.")
     files = dict.fromkeys(table_files(c.table, tables) for c in corrections)
     fields = dict.fromkeys(correction.field for correction in corrections)
     return Change(
@@ -151,8 +151,9 @@ def refuse_pairing(pairing: Mapping[str, str]) -> None:
         for hand, points in pairing.items()
     ]
     raise DataError(
-        f"the trackers' files have changed trials as it seems: {'; '.join(pairs)}. "
-        "Name the files of one trial alike, such as robot_1.csv and tracker_1.csv."
+        "",
+        f"the trackers' files have changed trials as it seems: {'; '.join(pairs)}",
+        "Name the files of one trial alike, such as robot_1.csv and tracker_1.csv.",
     )
 
 
@@ -166,10 +167,13 @@ def refuse_flat_points(measured: Measurements) -> None:
     if spread[flat] < MAX_FLAT_SHARE * spread[1 - flat]:
         axis = "xy"[flat]
         raise DataError(
-            f"{axis} of the string's points never changes, by {spread[flat]:.2g} m at "
-            f"most while the other coordinate changes by {spread[1 - flat]:.2g} m. "
-            "It seems to be of another plane than that of the cast: name the columns "
-            "of the cast's plane, as in --plane x,z, or --map tip.y=<column>."
+            "",
+            f"{axis} of the string's points never changes, by {spread[flat]:.2g} "
+            "m at most while the other coordinate changes by "
+            f"{spread[1 - flat]:.2g} m",
+            "It seems to be of another plane than that of the cast: name the "
+            "columns of the cast's plane, as in --plane x,z, or --map "
+            "tip.y=<column>.",
         )
 
 
@@ -186,8 +190,9 @@ def refuse_ambiguity(
         choices.append(f"{statements_for_files(proposal)}: {command}")
     listed = "\n  ".join(choices)
     raise DataError(
-        f"{describe_contradiction(verdict)}. Several corrections fit as well. Give the "
-        f"one that is true:\n  {listed}"
+        "",
+        describe_contradiction(verdict),
+        f"Several corrections fit as well. Give the one that is true:\n  {listed}",
     )
 
 
@@ -210,7 +215,9 @@ def refuse_point_inside(measured: Measurements) -> None:
     s, verdict = best
     if verdict.is_consistent and verdict.is_predicted:
         raise DataError(
-            f"the point '{point or 'tip'}' is no tip of a string of {length:.4g} m: it "
-            f"moves as a point at {s:.3f} m. If the tip's columns are missing, add "
-            f"them; if it is there, give its place: --at {point}={s:.3f}."
+            "",
+            f"the point '{point or 'tip'}' is no tip of a string of {length:.4g} "
+            f"m: it moves as a point at {s:.3f} m",
+            "If the tip's columns are missing, add them; if it is there, give "
+            f"its place: --at {point}={s:.3f}.",
         )

@@ -242,13 +242,16 @@ def read_column_hints(options: argparse.Namespace) -> ColumnHints:
         file, _, unit = text.rpartition("=")
         if unit not in (*LENGTH_UNITS, "px"):
             raise UserError(
-                f"--unit {text}: no unit of lengths. Write mm, cm, m or px."
+                f"--unit {text}",
+                "no unit of lengths",
+                "Write mm, cm, m or px.",
             )
         units[file] = unit
     if options.plane and not re.fullmatch(r"-?[xyz],-?[xyz]", options.plane):
         raise UserError(
-            f"--plane {options.plane}: it names no two directions. "
-            "Write such as x,z or --plane=-z,y"
+            f"--plane {options.plane}",
+            "it names no two directions",
+            "Write such as x,z or --plane=-z,y",
         )
     clock, _ = read_clock(options.clock)
     return ColumnHints(
@@ -277,8 +280,10 @@ def read_clock(text: str | None) -> tuple[float, float | None]:
         return float(seconds), abs(float(error)) if error else None
     except ValueError as fault:
         raise UserError(
-            f"--clock {text}: neither seconds nor fit. Write such as --clock=-0.35, or "
-            "--clock=-0.35,0.002 if it is known to 2 ms"
+            f"--clock {text}",
+            "neither seconds nor fit",
+            "Write such as --clock=-0.35, or --clock=-0.35,0.002 if it is known "
+            "to 2 ms",
         ) from fault
 
 
@@ -309,8 +314,9 @@ def parse_name_values(
         name, _, value = text.partition("=")
         if not name or not value:
             raise UserError(
-                f"{option} {text}: a name, = and a value are needed, such as "
-                f"{option} {example}"
+                f"{option} {text}",
+                "a name, = and a value are needed",
+                f"Write such as {option} {example}",
             )
         pairs.append((name, value))
     return pairs

@@ -125,11 +125,11 @@ def imported_grasp_poses(tables: ImportedTables, bench: BenchHints) -> pd.DataFr
         if not bench.links:
             stated = "no --links are given"
         raise DataError(
-            f"{', '.join(sorted(files))}: the log holds the angles of "
-            f"{format_count(count, 'joint')}, and {stated}. Give one length for each "
-            f"joint, base first: --links {example} --base 0,0. If some joints do not "
-            "turn in the plane, name those that do: --map q1=<column> "
-            "--map q2=<column>."
+            ", ".join(sorted(files)),
+            f"the log holds the angles of {format_count(count, 'joint')}, and {stated}",
+            f"Give one length for each joint, base first: --links {example} "
+            "--base 0,0. If some joints do not turn in the plane, name those "
+            "that do: --map q1=<column> --map q2=<column>.",
         )
     x, y, theta = arm_poses(motion[tables.joints].to_numpy(), bench.links, bench.base).T
     return times.assign(x=x, y=y, theta=theta)

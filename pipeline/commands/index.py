@@ -80,7 +80,11 @@ def list_runs(folder: Path) -> pd.DataFrame:
     Raises UserError if there is no such folder.
     """
     if not folder.is_dir():
-        raise UserError(f"{folder}: there is no such folder. Name one that holds runs.")
+        raise UserError(
+            folder,
+            "there is no such folder",
+            "Name one that holds runs.",
+        )
     runs: list[Path] = []
     for path in folder.rglob("config.json"):
         if path.is_file():
@@ -115,7 +119,9 @@ def write_runs(runs: pd.DataFrame, to: Path, folder: Path) -> None:
         store.write_text(to, page)
     else:
         raise UserError(
-            f"--to {to}: it must end in .html, .parquet or .csv. Change it."
+            f"--to {to}",
+            "it must end in .html, .parquet or .csv",
+            "Change it.",
         )
 
 

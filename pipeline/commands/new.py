@@ -130,8 +130,10 @@ def refuse_odd_names(name: str, plugin: Path) -> None:
     for given in (name, plugin.name):
         if not NAME_PATTERN.fullmatch(given) or keyword.iskeyword(given):
             raise UserError(
-                f"{given}: a name consists of small letters, digits and _, and begins "
-                "with a letter. Try another, such as my_arm."
+                given,
+                "a name consists of small letters, digits and _, and begins "
+                "with a letter",
+                "Try another, such as my_arm.",
             )
 
 
@@ -141,9 +143,13 @@ def refuse_taken_name(kind: str, name: str, files: Sequence[Path]) -> None:
     places = [package / path.format(name=name) for path in KINDS[kind].places]
     for place in (*files, *places):
         if place.exists():
-            raise UserError(f"{place}: it is there already. Choose another name.")
+            raise UserError(place, "it is there already", "Choose another name.")
     if kind == "stage" and name in stages():
-        raise UserError(f"{name}: there is a stage of this name. Choose another name.")
+        raise UserError(
+            name,
+            "there is a stage of this name",
+            "Choose another name.",
+        )
 
 
 def shown_path(path: Path) -> Path:

@@ -15,8 +15,9 @@ def read_stored_settings(folder: Path) -> dict[str, Any]:
     path = folder / "config.json"
     if not path.is_file():
         raise UserError(
-            f"{folder}: there is no run here (it has no config.json). "
-            "Name a run's folder."
+            folder,
+            "there is no run here (it has no config.json)",
+            "Name a run's folder.",
         )
     return read_json(path)
 
@@ -31,20 +32,26 @@ def read_stored_experiment(folder: Path) -> Experiment:
         return prepare_experiment(read_stored_settings(folder), lambda block: str(path))
     except KeyError as error:
         raise UserError(
-            f"{path}: the setting {error} is missing. Another version of this code "
-            "made the run."
+            path,
+            f"the setting {error} is missing",
+            "Another version of this code made the run.",
         ) from error
 
 
 def run_folder_of(path: Path) -> Path:
     """Return the run's folder that contains a path; raise UserError without one."""
     if not path.exists():
-        raise UserError(f"{path}: there is no such file or folder. Name one of a run.")
+        raise UserError(
+            path,
+            "there is no such file or folder",
+            "Name one of a run.",
+        )
     folder = enclosing_run(path.resolve())
     if folder is None:
         raise UserError(
-            f"{path}: it lies in no run (no config.json above it). "
-            "Name a file or folder of a run."
+            path,
+            "it lies in no run (no config.json above it)",
+            "Name a file or folder of a run.",
         )
     return folder
 

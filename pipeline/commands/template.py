@@ -58,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     folder: Path = options.folder
     if folder.exists():
-        raise UserError(f"{folder}: it is there already. Name another folder.")
+        raise UserError(folder, "it is there already", "Name another folder.")
 
     hand_table = GRASP if options.poses else ARM
     metadata = METADATA_TEMPLATE.format(

@@ -122,8 +122,9 @@ def verify_run(
     """
     if not isinstance(experiment.mode, Stepwise):
         raise UserError(
-            f"{folder}: this run, of a study or a calibration, has no steps of its "
-            "own. Name that of a cast, an estimation or a diagnosis."
+            folder,
+            "this run, of a study or a calibration, has no steps of its own",
+            "Name that of a cast, an estimation or a diagnosis.",
         )
     verification = Verification(experiment, folder, scratch, bar)
     with suppress(NotMadeError):

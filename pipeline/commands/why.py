@@ -48,21 +48,24 @@ def main(arguments: list[str]) -> int:
         states = step_states(mode.graph(settings), settings, folder)
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(
-            f"{folder / 'config.json'}: it does not hold the settings of a run "
-            f"({error!r}). Restore it; another version of this code may have made it."
+            folder / "config.json",
+            f"it does not hold the settings of a run ({error!r})",
+            "Restore it; another version of this code may have made it.",
         ) from error
     names = [name for name in states if chosen in (".", name)]
     if not names and chosen == "." and isinstance(mode, Stepwise):
         raise UserError(
-            f"{folder}: the run has made no step yet. Continue it: "
-            f"python -m pipeline resume {shlex.quote(str(folder))}"
+            folder,
+            "the run has made no step yet",
+            f"Continue it: python -m pipeline resume {shlex.quote(str(folder))}",
         )
     if not names:
         folders = ", ".join(sorted({stage.folder for stage in stages().values()}))
         raise UserError(
-            f"{place}: there is no such step; a study and a calibration have none. "
+            place,
+            "there is no such step; a study and a calibration have none",
             "Name the folder of another run, or of a step: "
-            f"iterations/<number>/<one of {folders}>."
+            f"iterations/<number>/<one of {folders}>.",
         )
     for name in names:
         state, reasons = states[name]

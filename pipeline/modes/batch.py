@@ -65,8 +65,9 @@ class Batch(StoredTrialsMode):
         ]
         if self.stage not in choices:
             raise UserError(
-                f"mode.stage = {self.stage}: it does not look at trials alone. "
-                f"Choose {' or '.join(choices)}."
+                f"mode.stage = {self.stage}",
+                "it does not look at trials alone",
+                f"Choose {' or '.join(choices)}.",
             )
         self.graph(experiment.config)
         if not self.first:
@@ -128,7 +129,8 @@ class Batch(StoredTrialsMode):
             history.make_artifact(name)
         if iteration.refusal_reason:
             raise DataError(
-                f"nothing is measured from this trial: {iteration.refusal_reason}."
+                "",
+                f"nothing is measured from this trial: {iteration.refusal_reason}",
             )
         trial, name = iteration.find(Trial), iteration.trial_name
         assert trial is not None

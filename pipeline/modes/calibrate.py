@@ -68,9 +68,8 @@ class Calibrate(Mode):
                 store.write_text(folder / name, text)
         page = folder / "report.html"
         if calibration.reason:
-            raise UserError(
-                f"the calibration cannot be used: {calibration.reason} See {page}"
-            )
+            fault = f"the calibration cannot be used: {calibration.reason}"
+            raise UserError("", fault, f"See {page}")
         content = Group(
             Text(summary.sentence),
             text_table(summary.table),
@@ -96,7 +95,8 @@ def ask_user(request: str, console: Terminal) -> None:
         console.input(f"{escape(request)} Press Enter. ")
     except EOFError as error:
         raise UserError(
-            "a calibration from a device needs a person at the terminal. "
-            "Use images or a video."
+            "",
+            "a calibration from a device needs a person at the terminal",
+            "Use images or a video.",
         ) from error
     console.print("Filming, for as many seconds as the settings say ...")

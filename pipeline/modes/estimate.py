@@ -56,8 +56,9 @@ class EstimateTrials(StoredTrialsMode):
         fitted = [name for name in data.trials if name not in data.held_out]
         if not fitted:
             raise DataError(
-                f"trials={data.folder}: dataset.yaml holds out every trial. "
-                "Leave some to estimate from."
+                f"trials={data.folder}",
+                "dataset.yaml holds out every trial",
+                "Leave some to estimate from.",
             )
         history = history_of_dataset(data, executor, self.graph(experiment.config))
         window = experiment.config["trials_used"]

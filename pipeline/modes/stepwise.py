@@ -97,15 +97,16 @@ def check_devices(experiment: Experiment) -> None:
         except (HardwareError, MissingPackageError) as error:
             faults.append(str(error))
     if faults:
-        raise HardwareError("\n".join(faults))
+        raise HardwareError("", "\n".join(faults))
 
 
 def require_trials(experiment: Experiment) -> None:
     """Raise UserError without the setting `trials`."""
     if experiment.config["trials"] is None:
         raise UserError(
-            "trials = null: this mode looks at stored trials. "
-            "Give trials=<folder>, or another mode."
+            "trials = null",
+            "this mode looks at stored trials",
+            "Give trials=<folder>, or another mode.",
         )
 
 
@@ -114,7 +115,8 @@ def refuse_trials(experiment: Experiment) -> None:
     trials = experiment.config["trials"]
     if trials is not None:
         raise UserError(
-            f"trials={trials}: this mode makes its own trials. Leave it out, or give "
-            "+experiment=estimate, diagnose, decide or align, "
-            "which look at stored ones."
+            f"trials={trials}",
+            "this mode makes its own trials",
+            "Leave it out, or give +experiment=estimate, diagnose, decide or "
+            "align, which look at stored ones.",
         )

@@ -59,7 +59,8 @@ def refuse_unlike_clocks(
     try:
         offset.refuse_wrong_clock(experiment.model, observations, rng)
     except DataError as error:
-        raise DataError(f"{folder}: {error}") from error
+        place = f"{folder}: {error.place}"
+        raise DataError(place, error.fault, error.remedy) from error
 
 
 def history_of_dataset(
@@ -107,10 +108,11 @@ class StoredTrialsMode(Stepwise):
             if reads_frames or not stages()[stage].takes_frames:
                 if lacking := history.lacking_input(stage):
                     raise DataError(
-                        f"{data.folder}: stage {stage} takes {lacking}, which is made "
-                        f"from frames, but of trial {name} the stored points are used. "
-                        "Leave the stage out of mode.reading, or read stored frames: "
-                        "mode.again=true."
+                        data.folder,
+                        f"stage {stage} takes {lacking}, which is made from "
+                        f"frames, but of trial {name} the stored points are used",
+                        "Leave the stage out of mode.reading, or read stored "
+                        "frames: mode.again=true.",
                     )
                 history.make_artifact(stage)
         if not iteration.artifacts:

@@ -82,8 +82,10 @@ def ask_about_cost(
         if console.input("Begin all the same? (y/N) ").strip().lower() == "y":
             return
     raise UserError(
-        f"{fault} Nothing was begun. Change one of these settings, or allow it: "
-        f"{consent}{highest.core_hours * 1.5:.2g}"
+        "",
+        f"{fault} Nothing was begun",
+        "Change one of these settings, or allow it: "
+        f"{consent}{highest.core_hours * 1.5:.2g}",
     )
 
 

@@ -149,8 +149,9 @@ class Experiment:
         if not isinstance(artifact, step.stage.makes):
             kind, wanted = type(artifact).__name__, step.stage.makes.__name__
             raise UserError(
-                f"stage {step.stage.name}: {step.stage.run} returned {kind}, not "
-                f"{wanted}. Correct it."
+                f"stage {step.stage.name}",
+                f"{step.stage.run} returned {kind}, not {wanted}",
+                "Correct it.",
             )
         return artifact
 
@@ -183,7 +184,7 @@ def build_obstacles(block: Any, where: str) -> tuple[Box, ...]:
     boxes = require_block(block, "obstacles", where)["boxes"]
     if not isinstance(boxes, list):
         setting = f"obstacles.boxes = {boxes!r} ({where})"
-        raise UserError(f"{setting}: it must be a list. Change it.")
+        raise UserError(setting, "it must be a list", "Change it.")
     obstacles = []
     for number, box in enumerate(boxes):
         obstacles.append(build_dataclass(Box, box, f"obstacles.boxes.{number}", where))
@@ -203,8 +204,9 @@ def refuse_lacking_settings(
         if stages()[name].by and name not in functions:
             options = [file.stem for file in group_files(name)] or ["..."]
             raise UserError(
-                f"stage {name} ({where}): its settings are missing. "
-                f"Choose +{name}={' or '.join(options)}."
+                f"stage {name} ({where})",
+                "its settings are missing",
+                f"Choose +{name}={' or '.join(options)}.",
             )
 
 
@@ -218,13 +220,14 @@ def check_run_settings(config: Settings, where: BlockLocation) -> None:
             if isinstance(number, float) and not math.isfinite(number):
                 place = where(name.partition(".")[0])
                 raise UserError(
-                    f"{name} = {number} ({place}): it must be a finite number. "
-                    "Change it."
+                    f"{name} = {number} ({place})",
+                    "it must be a finite number",
+                    "Change it.",
                 )
 
     def refuse(name: str, requirement: str) -> NoReturn:
         setting = f"{name} = {config[name]!r} ({where(name)})"
-        raise UserError(f"{setting}: it must be {requirement}. Change it.")
+        raise UserError(setting, f"it must be {requirement}", "Change it.")
 
     for name, least in {"max_casts": 1, "seed": 0, "workers": 0}.items():
         if type(config[name]) is not int:

@@ -32,17 +32,19 @@ def use_given_source(settings: Settings, given: set[str]) -> Settings:
         if mode.moves_arm(settings):
             reason = "the virtual lab films with its own camera"
         raise UserError(
-            f"{name} = {settings['source'][key or '_target_']} (command line): it "
-            f"would not be used: {reason}. Leave it out, or give hardware=emulator, "
-            "serial or dynamixel, or +experiment=calibrate. To read films of earlier "
-            "casts: python -m pipeline import <films> --to mine"
+            f"{name} = {settings['source'][key or '_target_']} (command line)",
+            f"it would not be used: {reason}",
+            "Leave it out, or give hardware=emulator, serial or dynamixel, or "
+            "+experiment=calibrate. To read films of earlier casts: python -m "
+            "pipeline import <films> --to mine",
         )
     for block in used_sources:
         for key, kind in SOURCE_PLACES.items():
             path = settings[block].get(key)
             if path is not None and not Path(path).exists():
                 raise UserError(
-                    f"{block}.{key} = {path} (conf/source or the command line): there "
-                    f"is no such {kind}. Give its path from {Path.cwd()}."
+                    f"{block}.{key} = {path} (conf/source or the command line)",
+                    f"there is no such {kind}",
+                    f"Give its path from {Path.cwd()}.",
                 )
     return settings

@@ -149,6 +149,8 @@ def read_summary(folder: Path) -> dict[str, Any]:
             Summary.model_validate(summary, strict=True)
     except ValidationError as error:
         raise DataError(
-            f"{path}: it does not say how the run ended. Delete it, and resume the run."
+            path,
+            "it does not say how the run ended",
+            "Delete it, and resume the run.",
         ) from error
     return summary

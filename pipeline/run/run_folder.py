@@ -116,8 +116,8 @@ class RunFolder:
             self._warn(f"recomputing {step.folder}: {reasons}")
             return self._make_artifact(step, folder)
         if stored.artifact is None:
-            fault = "The arm has moved by it: it cannot be made again."
-            raise DataError(f"{stored.stale_reasons[0]} {fault}")
+            remedy = "The arm has moved by it: it cannot be made again."
+            raise DataError("", stored.stale_reasons[0], remedy)
         self._warn(f"keeping {step.folder}, by which the arm has moved: {reasons}")
         return stored.artifact
 
@@ -189,10 +189,10 @@ def exclusive_access(folder: Path) -> Iterator[None]:
         except BlockingIOError as error:
             fault = "another process is working in this folder"
             remedy = "Wait for it, or choose another folder."
-            raise DataError(f"{folder}: {fault}. {remedy}") from error
+            raise DataError(folder, fault, remedy) from error
         except OSError as error:
             fault = f"cannot be written ({error.strerror})"
-            raise DataError(f"{folder}: {fault}. {remedy_for(error)}.") from error
+            raise DataError(folder, fault, f"{remedy_for(error)}.") from error
         is_new = file_names_in(folder) <= {LOCK_FILE}
         try:
             yield
@@ -212,8 +212,9 @@ def refuse_links(folder: Path) -> None:
             path = Path(place, name)
             if path.is_symlink():
                 raise DataError(
-                    f"{path}: a run's folder holds no links. Put what it leads to in "
-                    "its place if you trust it, or remove it."
+                    path,
+                    "a run's folder holds no links",
+                    "Put what it leads to in its place if you trust it, or remove it.",
                 )
 
 
@@ -229,8 +230,9 @@ def begin_run(experiment: Experiment, folder: Path) -> None:
     stored = path.read_text(encoding="utf-8") if path.exists() else None
     if stored not in (None, text) and read_json(path) != json.loads(text):
         raise DataError(
-            f"{folder}: this folder holds a run with other settings (see config.json). "
-            "Leave out hydra.run.dir, or repeat the settings of that run."
+            folder,
+            "this folder holds a run with other settings (see config.json)",
+            "Leave out hydra.run.dir, or repeat the settings of that run.",
         )
     if stored != text:
         store.write_text(path, text)

@@ -163,21 +163,24 @@ def chosen_sources(stage: StageSpec, config: Settings) -> dict[str, str]:
     block = config.get(stage.name) or {}
     if not isinstance(block, Mapping):
         raise UserError(
-            f"{stage.name} = {block!r}: it must hold the settings of stage "
-            f"{stage.name}. Choose {stage.name}=..."
+            f"{stage.name} = {block!r}",
+            f"it must hold the settings of stage {stage.name}",
+            f"Choose {stage.name}=...",
         )
     chosen = block.get(INPUTS_SETTING) or {}
     if not isinstance(chosen, Mapping):
         raise UserError(
-            f"{setting} = {chosen!r}: it must hold names of inputs, each with the "
-            "name of a stage. Change it."
+            f"{setting} = {chosen!r}",
+            "it must hold names of inputs, each with the name of a stage",
+            "Change it.",
         )
     known = [port.name for port in ports_of(stage)]
     for name in chosen:
         if name not in known:
             raise UserError(
-                f"{setting}.{name}: stage {stage.name} has no such input. "
-                f"{suggest_known_name(name, known)}"
+                f"{setting}.{name}",
+                f"stage {stage.name} has no such input",
+                suggest_known_name(name, known),
             )
     return dict(chosen)
 
@@ -189,19 +192,24 @@ def find_chosen(
     setting = f"{stage.name}.{INPUTS_SETTING}.{port.name} = {source}"
     if source not in names:
         raise UserError(
-            f"{setting}: this run has no such stage. "
-            f"{suggest_known_name(str(source), names)}"
+            setting,
+            "this run has no such stage",
+            suggest_known_name(str(source), names),
         )
     makes = stages()[source].makes
     if not issubclass(makes, port.kind):
         raise UserError(
-            f"{setting}: {source} makes {makes.__name__}, but {stage.name} takes "
-            f"{kind_name(port.kind)}. Choose another stage."
+            setting,
+            f"{source} makes {makes.__name__}, but {stage.name} takes "
+            f"{kind_name(port.kind)}",
+            "Choose another stage.",
         )
     if not port.is_earlier and names.index(source) >= position:
         raise UserError(
-            f"{setting}: {source} does not come before {stage.name}, so that each "
-            "would wait for the other. Change the order of the stages in mode."
+            setting,
+            f"{source} does not come before {stage.name}, so that each would "
+            "wait for the other",
+            "Change the order of the stages in mode.",
         )
     return str(source)
 
@@ -227,19 +235,20 @@ def refuse_unknown_stages(names: Sequence[str]) -> None:
     for position, name in enumerate(names):
         if name not in stages():
             raise UserError(
-                f"mode: there is no stage {name!r}. "
-                f"{suggest_known_name(name, [*stages()])}"
+                "mode",
+                f"there is no stage {name!r}",
+                suggest_known_name(name, [*stages()]),
             )
         if name in names[:position]:
-            raise UserError(f"mode: stage {name} stands twice. Remove one.")
+            raise UserError("mode", f"stage {name} stands twice", "Remove one.")
 
 
 def refuse_ambiguous(stage: StageSpec, first: str, port: Port) -> None:
     """Raise UserError for two inputs with the same artifact."""
     raise UserError(
-        f"stage {stage.name}: its inputs {first} and {port.name} are both "
-        f"{kind_name(port.kind)}. Name the stage of each: "
-        f"+{stage.name}.{INPUTS_SETTING}.{port.name}=..."
+        f"stage {stage.name}",
+        f"its inputs {first} and {port.name} are both {kind_name(port.kind)}",
+        f"Name the stage of each: +{stage.name}.{INPUTS_SETTING}.{port.name}=...",
     )
 
 
@@ -253,8 +262,10 @@ def refuse_missing(stage: StageSpec, port: Port, names: Sequence[str]) -> None:
     if makers:
         remedy = f"Put one that makes it before: {' or '.join(makers)}."
     raise UserError(
-        f"stage {stage.name} takes {port.name} ({kind_name(port.kind)}), which no "
-        f"stage before it makes; the stages are {', '.join(names)}. {remedy}"
+        "",
+        f"stage {stage.name} takes {port.name} ({kind_name(port.kind)}), which "
+        f"no stage before it makes; the stages are {', '.join(names)}",
+        remedy,
     )
 
 
@@ -266,10 +277,11 @@ def refuse_unused(
     for spec in specs:
         if spec.name not in used and not spec.is_end:
             raise UserError(
-                f"mode: nothing uses what stage {spec.name} makes "
-                f"({spec.makes.__name__}). Leave the stage out, name it in the "
-                f"setting `{INPUTS_SETTING}` of another stage, or mark it as an end "
-                "(is_end in its description)."
+                "mode",
+                f"nothing uses what stage {spec.name} makes ({spec.makes.__name__})",
+                f"Leave the stage out, name it in the setting `{INPUTS_SETTING}` "
+                "of another stage, or mark it as an end (is_end in its "
+                "description).",
             )
 
 

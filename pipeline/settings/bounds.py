@@ -72,8 +72,9 @@ def refuse_numbers_out_of_bounds(config: Settings, where: Callable[[str], str]) 
         if original == name or original not in faults:
             place = where(name.partition(".")[0])
             raise UserError(
-                f"{name} = {value} ({place}): it must be {requirement}. Change it "
-                "there or on the command line."
+                f"{name} = {value} ({place})",
+                f"it must be {requirement}",
+                "Change it there or on the command line.",
             )
 
 

@@ -51,7 +51,9 @@ def conf_folders() -> tuple[Path, ...]:
             for folder in folders:
                 if (folder / file.relative_to(conf)).exists():
                     raise PluginError(
-                        f"{file}: {folder} has a file of this name, too. Rename it."
+                        file,
+                        f"{folder} has a file of this name, too",
+                        "Rename it.",
                     )
         if conf.is_dir():
             folders.append(conf)
@@ -76,8 +78,9 @@ def _compose_cached(overrides: tuple[str, ...], folders: tuple[Path, ...]) -> An
         except ValueError as error:
             fault = " ".join(str(error).split())
             raise UserError(
-                f"{' '.join(overrides)}: these settings do not fit together ({fault}). "
-                "Correct them."
+                " ".join(overrides),
+                f"these settings do not fit together ({fault})",
+                "Correct them.",
             ) from error
 
 
@@ -95,8 +98,9 @@ def refuse_repeated_settings(overrides: Iterable[str]) -> None:
         key = override.key_or_group, override.package
         if key in seen:
             raise UserError(
-                f"{seen[key]} and {override.input_line} (command line): "
-                "the setting is given twice. Remove one."
+                f"{seen[key]} and {override.input_line} (command line)",
+                "the setting is given twice",
+                "Remove one.",
             )
         seen[key] = str(override.input_line)
 

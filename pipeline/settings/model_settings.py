@@ -63,12 +63,12 @@ def add_effects(
     that exclude each other.
     """
     if not isinstance(names, list):
-        remedy = "it must be a list, such as [rest_curvature]. Change it."
-        raise UserError(f"{setting} = {names!r} ({where}): {remedy}")
+        fault = "it must be a list, such as [rest_curvature]"
+        raise UserError(f"{setting} = {names!r} ({where})", fault, "Change it.")
     try:
         return model.with_effects(*find_effects([str(name) for name in names]))
     except ValueError as error:
-        raise UserError(f"{setting} ({where}): {error}") from error
+        raise UserError(f"{setting} ({where})", str(error)) from error
 
 
 def read_parameter_values(
@@ -85,18 +85,18 @@ def read_parameter_values(
         if name not in model.names:
             remedy = unknown_parameter_remedy(name, model)
             fault = "the model has no such parameter"
-            raise UserError(f"{setting} ({where}): {fault}. {remedy}.")
+            raise UserError(f"{setting} ({where})", fault, f"{remedy}.")
         is_measured = isinstance(value, Mapping) and set(value) == {*MEASURED_PARTS}
         numbers = [value[part] for part in MEASURED_PARTS] if is_measured else [value]
         if not all(is_finite_number(number) for number in numbers):
-            remedy = "it must be a number, or value, low and high. Change it."
-            raise UserError(f"{setting} = {value!r} ({where}): {remedy}")
+            fault = "it must be a number, or value, low and high"
+            raise UserError(f"{setting} = {value!r} ({where})", fault, "Change it.")
         values[name] = float(numbers[0])
         if is_measured:
             best, low, high = numbers
             if not (low < high and low <= best <= high):
                 fault = f"low = {low} < high = {high} must enclose value = {best}"
-                raise UserError(f"{setting} ({where}): {fault}. Change it.")
+                raise UserError(f"{setting} ({where})", fault, "Change it.")
             ranges[name] = float(low), float(high)
     return values, ranges
 
@@ -141,7 +141,7 @@ def build_string(block: Settings, where: str) -> String:
     integrator = load_callable(choice.get("_target_"), "string.integrator", where)
     if len(choice) > 1:
         setting = f"string.integrator = {dict(choice)} ({where})"
-        raise UserError(f"{setting}: it must hold only `_target_`. Change it.")
+        raise UserError(setting, "it must hold only `_target_`", "Change it.")
 
     known = {parameter.name: parameter for parameter in string.parameters}
     ranges = {}
@@ -150,7 +150,9 @@ def build_string(block: Settings, where: str) -> String:
         if name not in known:
             fault = "there is no such parameter"
             raise UserError(
-                f"{setting} ({where}): {fault}. Known are: {', '.join(known)}."
+                f"{setting} ({where})",
+                fault,
+                f"Known are: {', '.join(known)}.",
             )
         ranges[name] = read_range(known[name], limits, setting, where)
     return replace(string, ranges=ranges, integrator=integrator())
@@ -165,10 +167,10 @@ def read_range(
     start = validate_value(float, limits["start"], f"{setting}.start", where)
     if not low < high:
         fault = f"low = {low} must be below high = {high}"
-        raise UserError(f"{setting} ({where}): {fault}. Change one.")
+        raise UserError(f"{setting} ({where})", fault, "Change one.")
     if not low <= start <= high:
         fault = f"it must lie from {low} to {high}"
-        raise UserError(f"{setting}.start = {start} ({where}): {fault}. Change it.")
+        raise UserError(f"{setting}.start = {start} ({where})", fault, "Change it.")
     return replace(parameter, low=low, high=high, start=start)
 
 
@@ -193,4 +195,4 @@ def refine_string_to_tolerance(
     try:
         return find_converged_string(string, hand, middle, tolerance).string
     except ToleranceError as error:
-        raise UserError(f"{setting}: {error}") from error
+        raise UserError(setting, str(error)) from error

@@ -47,18 +47,21 @@ def name_plugins(overrides: Sequence[str]) -> None:
         value = override.value()
         text = str(override.input_line)
         if override.is_sweep_override():
-            raise UserError(f"{text}: a sweep has one list of plugins. Give only one.")
+            raise UserError(text, "a sweep has one list of plugins", "Give only one.")
         if not isinstance(value, list):
             folders = text.partition("=")[2].strip("[]")
             raise UserError(
-                f"{text}: this is a list of folders. "
-                f"Try: {shlex.quote(f'{PLUGINS_SETTING}=[{folders}]')}"
+                text,
+                "this is a list of folders",
+                f"Try: {shlex.quote(f'{PLUGINS_SETTING}=[{folders}]')}",
             )
         for folder in map(str, value):
             if os.pathsep in folder or not is_path(folder):
                 raise UserError(
-                    f"plugin {folder}: the path may not hold {os.pathsep!r}, which "
-                    f"separates paths in {PLUGINS_VARIABLE}. Rename the folder."
+                    f"plugin {folder}",
+                    f"the path may not hold {os.pathsep!r}, which separates "
+                    f"paths in {PLUGINS_VARIABLE}",
+                    "Rename the folder.",
                 )
         set_plugins([*named_folders(), *map(str, value)])
 
@@ -79,18 +82,20 @@ def require_named_plugins(settings: Settings, where: str) -> list[str]:
     is_list = isinstance(stored, list)
     if not is_list or not all(is_path(text) for text in stored):
         raise UserError(
-            f"{PLUGINS_SETTING} = {stored!r} ({where}): it must be a list of folders. "
-            "Change it."
+            f"{PLUGINS_SETTING} = {stored!r} ({where})",
+            "it must be a list of folders",
+            "Change it.",
         )
     named = plugin_folders()
     missing = [text for text in stored if Path(text).resolve().name not in named]
     if missing:
         folders = os.pathsep.join([*named_folders(), *missing])
         raise UserError(
-            f"{PLUGINS_SETTING} ({where}): the run uses code of the plugin "
-            f"{' and '.join(missing)}, {UNNAMED_PLUGIN}. Nothing of it was "
-            "imported. If you trust it, name your copy before the command: "
-            f"{PLUGINS_VARIABLE}={shlex.quote(folders)}"
+            f"{PLUGINS_SETTING} ({where})",
+            f"the run uses code of the plugin {' and '.join(missing)}, "
+            f"{UNNAMED_PLUGIN}",
+            "Nothing of it was imported. If you trust it, name your copy before "
+            f"the command: {PLUGINS_VARIABLE}={shlex.quote(folders)}",
         )
     return [str(named[Path(text).resolve().name]) for text in stored]
 

@@ -175,10 +175,11 @@ def refuse_inherited_limits(
                 differences.append(f"\n  {block}.{name}: {here} here, {there} there")
     if differences:
         raise UserError(
-            f"{source}: a real arm would move by the limits of this folder:"
-            f"{''.join(differences)}\n"
-            f"Nothing was moved. Check them; then give {consent}, or choose your own "
-            "(arm=..., hardware=..., execute=...)."
+            source,
+            "a real arm would move by the limits of this "
+            f"folder:{''.join(differences)}\nNothing was moved",
+            f"Check them; then give {consent}, or choose your own (arm=..., "
+            "hardware=..., execute=...).",
         )
 
 
@@ -199,14 +200,16 @@ def read_extended_model(folder: Path) -> dict[str, Any]:
         if name not in MODEL_SETTINGS:
             known_names = ", ".join(MODEL_SETTINGS)
             raise UserError(
-                f"model_from={folder}: {EXTENDED} sets {name!r}; "
-                f"it may set {known_names}. Remove it."
+                f"model_from={folder}",
+                f"{EXTENDED} sets {name!r}; it may set {known_names}",
+                "Remove it.",
             )
         if not isinstance(value, MODEL_SETTINGS[name]):
             kind = "a list" if MODEL_SETTINGS[name] is list else "names and values"
             raise UserError(
-                f"model_from={folder}: {name} in {EXTENDED} must hold {kind}. "
-                "Correct or remove it."
+                f"model_from={folder}",
+                f"{name} in {EXTENDED} must hold {kind}",
+                "Correct or remove it.",
             )
     return model
 
@@ -225,11 +228,12 @@ def read_run_settings(
     try:
         values = read_yaml(path)
     except DataError as error:
-        raise UserError(f"{setting}={folder}: {error} {remedy}") from error
+        raise UserError(f"{setting}={folder}", str(error), remedy) from error
     if not values:
         raise UserError(
-            f"{setting}={folder}: {path} is empty. Restore it, or make it again. "
-            f"{remedy}"
+            f"{setting}={folder}",
+            f"{path} is empty",
+            f"Restore it, or make it again. {remedy}",
         )
     return values
 
@@ -267,7 +271,9 @@ def refuse_unknown_bench(folder: Path, given: set[str]) -> None:
     """Refuse to move an arm unless the stored trials are known to come from it."""
     if not is_run_folder(folder) and "hardware" not in given:
         raise UserError(
-            f"trials={folder}: the dataset does not state which arm and camera made "
-            "its trials, so the arm will not be moved. Give hardware=serial or "
-            "hardware=virtual if they did, or run +experiment=diagnose."
+            f"trials={folder}",
+            "the dataset does not state which arm and camera made its trials, "
+            "so the arm will not be moved",
+            "Give hardware=serial or hardware=virtual if they did, or run "
+            "+experiment=diagnose.",
         )

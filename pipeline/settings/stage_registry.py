@@ -50,7 +50,7 @@ def refuse_wrong_description(stage: StageSpec, file: Path) -> None:
                 "or CollectedTrials"
             )
     if faults:
-        raise PluginError(f"{file}: {faults[0]}. Correct STAGE; see stages/README.md.")
+        raise PluginError(file, faults[0], "Correct STAGE; see stages/README.md.")
 
 
 @cache
@@ -68,18 +68,23 @@ def _load_stages(plugins: tuple[Path, ...]) -> dict[str, StageSpec]:
         stage = getattr(import_plugin_module(module), "STAGE", None)
         if not isinstance(stage, StageSpec):
             raise PluginError(
-                f"{file}: it must define STAGE, a StageSpec. See stages/README.md."
+                file,
+                "it must define STAGE, a StageSpec",
+                "See stages/README.md.",
             )
         refuse_wrong_description(stage, file)
         if stage.name in found or stage.folder in artifact_folders:
             raise PluginError(
-                f"{file}: there is already a stage {stage.name!r}, or one with the "
-                f"folder {stage.folder!r}. Rename this one."
+                file,
+                f"there is already a stage {stage.name!r}, or one with the "
+                f"folder {stage.folder!r}",
+                "Rename this one.",
             )
         if (CONF_FOLDER / stage.name).is_dir():
             raise PluginError(
-                f"{file}: the settings {stage.name!r} are of something else than this "
-                "stage. Rename the stage."
+                file,
+                f"the settings {stage.name!r} are of something else than this stage",
+                "Rename the stage.",
             )
         found[stage.name] = stage
         artifact_folders.add(stage.folder)

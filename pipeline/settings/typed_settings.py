@@ -72,9 +72,10 @@ def refuse_other_inputs(
     wanted = positional_names(load_object(own_names[0]))
     if len(positional_names(function)) != len(wanted) and not takes_any(function):
         raise UserError(
-            f"{place}._target_ = {name} ({where}): it takes "
-            f"({', '.join(positional_names(function))}), but the stage gives it "
-            f"({', '.join(wanted)}). Correct the function's positional arguments."
+            f"{place}._target_ = {name} ({where})",
+            f"it takes ({', '.join(positional_names(function))}), but the stage "
+            f"gives it ({', '.join(wanted)})",
+            "Correct the function's positional arguments.",
         )
 
 
@@ -110,15 +111,16 @@ def keyword_types(function: Callable[..., Any]) -> dict[str, Any]:
     try:
         hints = get_type_hints(function, include_extras=True)
     except (NameError, TypeError) as error:
-        raise UserError(f"{place}: a type is wrong ({error}). Correct it.") from error
+        raise UserError(place, f"a type is wrong ({error})", "Correct it.") from error
     types = {}
     for name, parameter in inspect.signature(function).parameters.items():
         is_keyword = parameter.kind is inspect.Parameter.KEYWORD_ONLY
         if is_keyword and name not in RUN_ARGUMENTS:
             if name not in hints:
                 raise UserError(
-                    f"{place}: its argument {name} must state a type, such as `float`. "
-                    "Add it."
+                    place,
+                    f"its argument {name} must state a type, such as `float`",
+                    "Add it.",
                 )
             types[name] = hints[name]
     return types
@@ -145,8 +147,9 @@ def refuse_odd_paths(settings: Mapping[Any, Any], where: str) -> None:
         value = settings[name]
         if value is not None and not isinstance(value, str):
             raise UserError(
-                f"{name} = {value!r} ({where}): it must be the path of a folder. Write "
-                f"{name}=./<folder>."
+                f"{name} = {value!r} ({where})",
+                "it must be the path of a folder",
+                f"Write {name}=./<folder>.",
             )
 
 
@@ -154,7 +157,9 @@ def require_block(block: Any, place: str, where: str) -> Settings:
     """Return a block of settings; raise UserError if it is no block."""
     if not isinstance(block, Mapping):
         raise UserError(
-            f"{place} = {block!r} ({where}): it must hold names and values. Change it."
+            f"{place} = {block!r} ({where})",
+            "it must hold names and values",
+            "Change it.",
         )
     return block
 
@@ -166,8 +171,9 @@ def require_target(block: Any, place: str, where: str, option: str) -> Any:
     """
     if not isinstance(block, Mapping) or "_target_" not in block:
         raise UserError(
-            f"{place} = {block!r} ({where}): it must hold `_target_` and its settings. "
-            f"Choose {option}"
+            f"{place} = {block!r} ({where})",
+            "it must hold `_target_` and its settings",
+            f"Choose {option}",
         )
     return block["_target_"]
 
@@ -190,13 +196,16 @@ def check_names(
     for name in given:
         if name not in expected:
             raise UserError(
-                f"{place}.{name} ({where}): there is no such setting. "
-                f"{suggest_known_name(name, expected)}"
+                f"{place}.{name} ({where})",
+                "there is no such setting",
+                suggest_known_name(name, expected),
             )
     for name in expected:
         if name not in given:
             raise UserError(
-                f"{place}.{name} ({where}): the setting is missing. Give it a value."
+                f"{place}.{name} ({where})",
+                "the setting is missing",
+                "Give it a value.",
             )
 
 
@@ -209,8 +218,10 @@ def load_callable(target: Any, place: str, where: str) -> Any:
         base = common_base([load_object(own) for own in allowed_names_by_role()[role]])
         if not (is_dataclass(found) and issubclass(found, base)):  # type: ignore[arg-type]
             raise UserError(
-                f"{place}._target_ = {name} ({where}): it must be a dataclass that "
-                f"derives from {base.__module__}.{base.__name__}. Correct the class."
+                f"{place}._target_ = {name} ({where})",
+                "it must be a dataclass that derives from "
+                f"{base.__module__}.{base.__name__}",
+                "Correct the class.",
             )
     return found
 
@@ -235,8 +246,9 @@ def require_allowed(target: Any, place: str, where: str) -> str:
         allowed_names += plugin_names(role)
     if target not in allowed_names:
         raise UserError(
-            f"{place}._target_ = {target!r} ({where}): "
-            f"it may not be named here. {remedy_for_target(target, allowed_names)}"
+            f"{place}._target_ = {target!r} ({where})",
+            "it may not be named here",
+            remedy_for_target(target, allowed_names),
         )
     return str(target)
 
@@ -283,5 +295,7 @@ def validate_value(kind: Any, value: Any, place: str, where: str) -> Any:
             name += f" = {first['input']!r}"
         fault = first["msg"].removeprefix("Value error, ")
         raise UserError(
-            f"{name} ({where}): {fault}. Change it there or on the command line."
+            f"{name} ({where})",
+            fault,
+            "Change it there or on the command line.",
         ) from error

@@ -83,10 +83,10 @@ class LedgerLauncher:
         self.config = config
         where = f"hydra.launcher ({SETTINGS_PLACE})"
         if not isinstance(self.retry, bool):
-            raise UserError(f"{where}: retry = {self.retry!r} must be true or false.")
+            raise UserError(where, f"retry = {self.retry!r} must be true or false")
         if type(self.warm_up_jobs) is not int or self.warm_up_jobs < 0:
             fault = f"warm_up_jobs = {self.warm_up_jobs!r}"
-            raise UserError(f"{where}: {fault} must be a whole number from 0.")
+            raise UserError(where, f"{fault} must be a whole number from 0")
         settings: Any = OmegaConf.to_container(OmegaConf.create(self.settings))
         chosen = {"_target_": self.by} | settings
         self.launch_all = bind_stage(chosen, "hydra.launcher", SETTINGS_PLACE)
@@ -100,8 +100,9 @@ class LedgerLauncher:
         if unknown := set(names) - set(self.variants):
             known = ", ".join(self.variants)
             raise UserError(
-                f"name={unknown.pop()} (command line): there is no such experiment. "
-                f"There are {known}."
+                f"name={unknown.pop()} (command line)",
+                "there is no such experiment",
+                f"There are {known}.",
             )
         others = [word for word in overrides if word not in named]
         return [[*others, f"name={name}", *self.variants[name]] for name in names]

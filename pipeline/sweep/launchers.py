@@ -67,7 +67,7 @@ def ray(
         where = "conf/hydra/launcher/ray.yaml or the command line"
         setting = f"hydra.launcher.address = {address} ({where})"
         remedy = "Start one with ray start --head, or give null to start one here."
-        raise UserError(f"{setting}: no Ray answers ({error}). {remedy}") from error
+        raise UserError(setting, f"no Ray answers ({error})", remedy) from error
     try:
         task = package.remote(num_cpus=threads, **resources)(Attempt.__call__)
         keys = {task.remote(attempt, threads): attempt.key for attempt in attempts}
@@ -116,4 +116,4 @@ def import_package(package: str, launcher: str) -> ModuleType:
     except ImportError as error:
         fault = f"the package {package} is missing ({error})"
         remedy = f"Install it with pip install {package}."
-        raise UserError(f"hydra/launcher={launcher}: {fault}. {remedy}") from error
+        raise UserError(f"hydra/launcher={launcher}", fault, remedy) from error

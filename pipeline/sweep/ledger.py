@@ -89,7 +89,7 @@ class Ledger:
             return Job(**fields | {"overrides": tuple(fields["overrides"])})
         except (OSError, ValueError, KeyError, TypeError) as error:
             fault = f"{path}: not a job of a sweep ({error})"
-            raise DataError(f"{fault}. Delete it to repeat the job.") from error
+            raise DataError("", fault, "Delete it to repeat the job.") from error
 
     def add(self, job: Job) -> None:
         """Add a job, unless it exists."""
@@ -180,7 +180,7 @@ def open_for_lock(path: Path) -> BinaryIO:
         return path.open("ab")
     except OSError as error:
         fault = f"{path}: cannot be written ({error.strerror})"
-        raise DataError(f"{fault}. Choose another hydra.sweep.dir.") from error
+        raise DataError("", fault, "Choose another hydra.sweep.dir.") from error
 
 
 def try_lock(file: BinaryIO, path: Path) -> bool:
@@ -190,7 +190,9 @@ def try_lock(file: BinaryIO, path: Path) -> bool:
     """
     if os.name != "posix":
         raise DataError(
-            "A sweep needs POSIX file locks. Use Linux, macOS, or WSL on Windows."
+            "",
+            "A sweep needs POSIX file locks",
+            "Use Linux, macOS, or WSL on Windows.",
         )
     try:
         disk.lock_file(file)
@@ -199,5 +201,5 @@ def try_lock(file: BinaryIO, path: Path) -> bool:
     except OSError as error:
         remedy = "Choose a hydra.sweep.dir on a file system that can lock files"
         fault = f"{path}: cannot be locked ({error.strerror})"
-        raise DataError(f"{fault}. {remedy}.") from error
+        raise DataError("", fault, f"{remedy}.") from error
     return True

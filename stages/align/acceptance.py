@@ -33,13 +33,16 @@ def refuse_sight(problem: AlignmentProblem) -> None:
     frames = sum(np.unique(trial.sightings.frame).size for trial in problem.trials)
     if frames < MIN_FRAMES:
         raise DataError(
-            f"the arm is seen in {frames} frames only, {MIN_FRAMES} are needed. Film"
-            " it longer, or light it."
+            "",
+            f"the arm is seen in {frames} frames only, {MIN_FRAMES} are needed",
+            "Film it longer, or light it.",
         )
     if problem.max_hand_speed < MIN_HAND_SPEED:
         raise DataError(
-            f"the hand moves at {problem.max_hand_speed:.3f} m/s at most: too slow to "
-            f"compare clocks, {MIN_HAND_SPEED} m/s are needed. Swing it."
+            "",
+            f"the hand moves at {problem.max_hand_speed:.3f} m/s at most: too "
+            f"slow to compare clocks, {MIN_HAND_SPEED} m/s are needed",
+            "Swing it.",
         )
     # seen over expected spread of the arm
     log_ratios = []
@@ -53,9 +56,10 @@ def refuse_sight(problem: AlignmentProblem) -> None:
     ratio = np.exp(np.median(log_ratios))
     if not SCALE_RANGE[0] < ratio < SCALE_RANGE[1]:
         raise DataError(
-            f"the seen points spread {ratio:.3g} times as far as the joint angles "
-            "imply. x and y must be in metres, joint angles in radians; or correct "
-            "camera.px_per_m and arm.links."
+            "",
+            f"the seen points spread {ratio:.3g} times as far as the joint "
+            "angles imply. x and y must be in metres, joint angles in radians; "
+            "or correct camera.px_per_m and arm.links",
         )
 
 
@@ -71,17 +75,20 @@ def refuse_fit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
     if is_at_end.any():
         place = int(np.argmax(is_at_end))
         raise DataError(
-            f"{fit.names[place]} would be {fit.x[place]:.3g}, at the end of its range."
-            " Correct conf/camera or conf/arm first."
+            "",
+            f"{fit.names[place]} would be {fit.x[place]:.3g}, at the end of its range",
+            "Correct conf/camera or conf/arm first.",
         )
     refuse_misfit(problem, fit)
     for name, (limit, unit) in REQUIRED_PRECISION.items():
         half_width = fit.half_widths[fit.names.index(name)]
         if half_width > limit:
             raise DataError(
-                f"{name} would be known to +- {half_width:.2g} {unit} only, {limit:g}"
-                f" is needed: the hand reaches {problem.max_hand_speed:.2f} m/s. Swing"
-                " it faster and further, or film it longer."
+                "",
+                f"{name} would be known to +- {half_width:.2g} {unit} only, "
+                f"{limit:g} is needed: the hand reaches "
+                f"{problem.max_hand_speed:.2f} m/s",
+                "Swing it faster and further, or film it longer.",
             )
 
 
@@ -110,7 +117,9 @@ def refuse_misfit(problem: AlignmentProblem, fit: AlignmentFit) -> None:
     if share > MIN_NAMED_SHARE:
         cause = f"It looks as if {sentence}: this explains {100 * share:.0f} % of it."
     raise DataError(
-        f"the misfit is {misfit:.1f} times the noise. {cause} No alignment is made."
+        "",
+        f"the misfit is {misfit:.1f} times the noise",
+        f"{cause} No alignment is made.",
     )
 
 

@@ -88,7 +88,11 @@ def align(
         If the data do not determine the alignment, with the reason.
     """
     if not observations:
-        raise DataError("no trial can be used. See the reason given for each.")
+        raise DataError(
+            "",
+            "no trial can be used",
+            "See the reason given for each.",
+        )
     full_model = measurement_model(model)
     filmed = {name: film for name, film in films.items() if film.arm is not None}
     trials = []

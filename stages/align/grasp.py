@@ -24,15 +24,16 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
     """
     trial = f"trial {observation.trial}"
     if observation.arm is None:
-        raise DataError(f"{trial}: alignment needs joint angles. Add arm.parquet.")
+        raise DataError(trial, "alignment needs joint angles", "Add arm.parquet.")
     points = observation.valid_points
     is_finite = np.isfinite(points[["x", "y"]]).all(axis=1)
     is_grasp = (points["s"] <= MAX_GRASP_ARC_LENGTH_M) & is_finite
     grasp = points[is_grasp].sort_values("t")
     if grasp.empty:
         raise DataError(
-            f"{trial}: no frames, and no point at the grasp (s = 0). Measure the "
-            "start of the string, or add the frames."
+            trial,
+            "no frames, and no point at the grasp (s = 0)",
+            "Measure the start of the string, or add the frames.",
         )
     t, seen = grasp["t"].to_numpy(), grasp[["x", "y"]].to_numpy()
     log_t = observation.arm["t"].to_numpy()
@@ -41,8 +42,10 @@ def grasp_sightings(observation: Observation, arm: Arm) -> SightedTrial:
     error = arm.joint_positions(reported)[:, -1] - seen
     if np.median(np.linalg.norm(error, axis=-1)) < MAX_COMPUTED_DISTANCE_M:
         raise DataError(
-            f"{trial}: the grasp in its points was computed from the joint angles, "
-            "so it says nothing about the alignment. Add the frames."
+            trial,
+            "the grasp in its points was computed from the joint angles, so it "
+            "says nothing about the alignment",
+            "Add the frames.",
         )
 
     if "sigma" in grasp:

@@ -100,8 +100,9 @@ def sightings_from_films(
             trials.append(build_sighted_trial(trial, frames, pieces, width / 4))
         if not any(len(trial.sightings.frame) for trial in trials):
             raise DataError(
-                "no outline of the arm is near the links of the joint angles. Correct "
-                "camera.px_per_m and camera.origin_px, and align.arm_width."
+                "",
+                "no outline of the arm is near the links of the joint angles",
+                "Correct camera.px_per_m and camera.origin_px, and align.arm_width.",
             )
         problem = AlignmentProblem(model, tuple(trials))
         values = model.values(fit_alignment(problem, REQUIRED_EFFECTS).values)
@@ -142,8 +143,9 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
     contrast = float(np.median(upper)) if len(upper) else 0.0
     if contrast < MIN_CONTRAST:
         raise DataError(
-            f"the arm differs from the scene by only {contrast:.0f} grey levels. Give "
-            "it more light, or another colour than the background."
+            "",
+            f"the arm differs from the scene by only {contrast:.0f} grey levels",
+            "Give it more light, or another colour than the background.",
         )
 
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (opening, opening))

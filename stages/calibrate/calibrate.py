@@ -121,8 +121,9 @@ def calibrate(
     if len(sizes) > 1:
         two_sizes = " and ".join(f"{width}x{height}" for width, height in sizes[:2])
         raise DataError(
-            f"pictures are {two_sizes} px. Take all with the camera set as for the "
-            "experiment."
+            "",
+            f"pictures are {two_sizes} px",
+            "Take all with the camera set as for the experiment.",
         )
     width, height = map(int, sizes[0])
     lens = fit_lens(used_views, board, (width, height))
@@ -148,9 +149,11 @@ def _readable_views(views: Sequence[BoardView]) -> list[BoardView]:
         reasons = Counter(view.reason for view in views if view.reason)
         reason = f"; of most, {reasons.most_common(1)[0][0]}" if reasons else ""
         raise DataError(
-            f"the board can be read in {len(readable)} of {len(views)} pictures"
-            f"{reason}. Take at least ten of the board in the settings (board=...): "
-            "sharp, lit evenly, tilted in all directions, in all parts of the picture."
+            "",
+            f"the board can be read in {len(readable)} of {len(views)} "
+            f"pictures{reason}",
+            "Take at least ten of the board in the settings (board=...): sharp, "
+            "lit evenly, tilted in all directions, in all parts of the picture.",
         )
     return readable
 
@@ -159,13 +162,16 @@ def _plane_view(flat: Sequence[np.ndarray], board: Board) -> BoardView:
     """Return the view in the plane of motion with most corners."""
     if not len(flat):
         raise DataError(
-            "there is no picture of the board in the plane of motion. Take one."
+            "",
+            "there is no picture of the board in the plane of motion",
+            "Take one.",
         )
     views = [detect_board(number, image, board) for number, image in enumerate(flat)]
     best = max(views, key=lambda view: len(view.corners))
     if best.reason:
         raise DataError(
-            f"the board in the plane of motion: {best.reason}. Hold it in view, lit "
-            "and still."
+            "",
+            f"the board in the plane of motion: {best.reason}",
+            "Hold it in view, lit and still.",
         )
     return best

@@ -94,4 +94,4 @@ def refuse_errors(dataset: CheckedDataset) -> None:
         folder = dataset.data.folder
         more = f"{len(errors) - 1} more" if len(errors) > 1 else "All findings"
         command = f"python -m pipeline check {shlex.quote(str(folder))}"
-        raise DataError(f"{folder}: {errors[0].sentence} {more}: {command}")
+        raise DataError(folder, errors[0].sentence, f"{more}: {command}")

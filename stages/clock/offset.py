@@ -389,7 +389,7 @@ def refuse_wrong_clock(
     """Raise DataError with the offset for trials whose clocks certainly differ."""
     clock = find_wrong_clock(model, observations, rng)
     if clock is not None:
-        raise DataError(f"points t: {describe_wrong_clock(clock)}. {CLOCK_REMEDY}")
+        raise DataError("points t", describe_wrong_clock(clock), CLOCK_REMEDY)
 
 
 def describe_wrong_clock(clock: ClockOffset) -> str:

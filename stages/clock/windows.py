@@ -97,8 +97,9 @@ def possible_windows(trials: Sequence[CheckedTrial]) -> dict[str, Window]:
             windows[trial.name] = window
     if not windows:
         raise DataError(
-            f"trial {trials[0].name}: hand or string never begins to move. "
-            "Give the seconds to add: --clock=-0.35"
+            f"trial {trials[0].name}",
+            "hand or string never begins to move",
+            "Give the seconds to add: --clock=-0.35",
         )
 
     used = [trial for trial in trials if trial.name in windows]

@@ -171,7 +171,11 @@ def diagnose(
     rejected = {**rejected, **faults}
     if not usable:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected.items())
-        raise DataError(f"No trial can be used ({reasons}). Check the files it names.")
+        raise DataError(
+            "",
+            f"No trial can be used ({reasons})",
+            "Check the files it names.",
+        )
     settings = DiagnosisSettings(
         model=model,
         obstacles=obstacles,

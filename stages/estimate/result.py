@@ -60,8 +60,9 @@ class Candidates:
         """Refuse a search in which every simulation diverged."""
         if np.isnan(self.matching_rate).all():
             raise DataError(
-                f"{self.method}: none of {len(self.chi)} candidates stayed finite. "
-                "Narrow string.ranges, or look for jumps in the arm's joint angles."
+                self.method,
+                f"none of {len(self.chi)} candidates stayed finite",
+                "Narrow string.ranges, or look for jumps in the arm's joint angles.",
             )
 
     @property

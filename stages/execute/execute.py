@@ -79,8 +79,9 @@ def film_motion(
     if not len(inside):
         reason = recording.fault or "its clock or delay is wrong"
         raise HardwareError(
-            f"camera: no frame came during the movement ({reason}). "
-            "Check the device and source.delay."
+            "camera",
+            f"no frame came during the movement ({reason})",
+            "Check the device and source.delay.",
         )
     frames = pd.DataFrame({"frame": np.arange(len(inside)), "t": t[inside]})
     frames["file"] = [f"images/{number:06d}.png" for number in range(len(inside))]

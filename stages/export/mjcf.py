@@ -189,8 +189,10 @@ def build_mjcf(
     stretches = largest >= MIN_STEP_S
     if stretches and step > largest:
         raise DataError(
-            f"--step {step:g}: a string of this axial stiffness needs at most "
-            f"{choose_step(model, values):g} s in MuJoCo. Give that, or no --step."
+            f"--step {step:g}",
+            "a string of this axial stiffness needs at most "
+            f"{choose_step(model, values):g} s in MuJoCo",
+            "Give that, or no --step.",
         )
     angles, lengths = hanging_shape(string, material, pose, turn)
     hinges = np.diff(angles[0], prepend=pose[2])
@@ -233,8 +235,9 @@ def _refuse_unknown_laws(model: Model) -> None:
         laws = effect.laws()
         if is_position_dependent(effect) or not set(laws) <= EXPORTED_ARGUMENTS:
             raise DataError(
-                f"effect '{effect.name}': MuJoCo has no such law ({', '.join(laws)}). "
-                "Estimate the string again without it, and export that."
+                f"effect '{effect.name}'",
+                f"MuJoCo has no such law ({', '.join(laws)})",
+                "Estimate the string again without it, and export that.",
             )
 
 

@@ -132,9 +132,10 @@ def extract(
     rows, columns = footage.images[0].shape
     if (columns, rows) != (camera.width, camera.height):
         raise DataError(
+            "",
             f"camera.width x camera.height is {camera.width} x {camera.height}, "
-            f"but the frames are {columns} x {rows} px. "
-            "Correct it in the dataset's dataset.yaml, or in conf/camera."
+            f"but the frames are {columns} x {rows} px",
+            "Correct it in the dataset's dataset.yaml, or in conf/camera.",
         )
     images, sway = stabilise_film(CachedImages(footage.images))
     footage = replace(footage, images=images)

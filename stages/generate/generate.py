@@ -74,8 +74,10 @@ class MotionRanges(SettingsGroup):
         """Refuse an empty range of the duration."""
         if self.shortest > self.longest:
             raise DataError(
-                f"generate.shortest = {self.shortest} is above "
-                f"generate.longest = {self.longest}. Change one of them."
+                "",
+                f"generate.shortest = {self.shortest} is above generate.longest "
+                f"= {self.longest}",
+                "Change one of them.",
             )
 
     @property
@@ -224,8 +226,10 @@ def generate(
             )
     reasons = "; ".join(f"{reason}: {count}" for reason, count in counts.most_common())
     raise MotionNotFoundError(
-        f"no motion hits the target in {counts.total()} tries ({reasons}). "
-        "Allow more generate.attempts, a larger target box, or other limits of the arm."
+        "",
+        f"no motion hits the target in {counts.total()} tries ({reasons})",
+        "Allow more generate.attempts, a larger target box, or other limits of "
+        "the arm.",
     )
 
 

@@ -284,8 +284,9 @@ def search_motions(
     """
     if not len(random.duration):
         raise MotionNotFoundError(
-            "no random motion keeps the arm's limits and clear of the obstacles. "
-            "Widen the limits, or lower generate.alpha."
+            "",
+            "no random motion keeps the arm's limits and clear of the obstacles",
+            "Widen the limits, or lower generate.alpha.",
         )
     # Finer meshes would take longer than the few samples of a race, and a third one as
     # long as those of a refinement
@@ -316,9 +317,11 @@ def build_motion_artifact(
     distance = np.where(is_usable, outcome.distance[0], np.inf)
     if np.isinf(distance).all():
         raise MotionNotFoundError(
-            f"on the best motion found, each of {len(hit)} likely strings touches an "
-            "obstacle or cannot be simulated. Allow more generate.motions and "
-            "generate.cma_iterations, or move the obstacles."
+            "",
+            f"on the best motion found, each of {len(hit)} likely strings "
+            "touches an obstacle or cannot be simulated",
+            "Allow more generate.motions and generate.cma_iterations, or move "
+            "the obstacles.",
         )
     by_hit_and_distance = np.lexsort((distance, ~hit))
     typical = samples.select(by_hit_and_distance[[hit.sum() // 2]])

@@ -121,9 +121,11 @@ def first_frame_kinematics(
     usable = np.isfinite(tracks[..., 0]).sum(axis=0) >= 3
     if not np.any(places[usable] > 0):
         raise DataError(
-            "it begins moving, but no place on the string is seen in 3 of its first "
-            f"{PARABOLA_FRAMES} frames. Begin it where the string is seen, or say "
-            "'initial: rest' in dataset.yaml."
+            "",
+            "it begins moving, but no place on the string is seen in 3 of its "
+            f"first {PARABOLA_FRAMES} frames",
+            "Begin it where the string is seen, or say 'initial: rest' in "
+            "dataset.yaml.",
         )
     early_times = times[: len(tracks)] - times[0]
     parabolas, spread, residual = _fit_parabolas(early_times, tracks[:, usable])

@@ -228,8 +228,9 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
     points = points[finite].sort_values(["t", "s"], kind="stable")
     if points.empty:
         raise DataError(
-            f"trial {observation.trial}: no valid point of the string. Look at its "
-            "readings' reasons."
+            f"trial {observation.trial}",
+            "no valid point of the string",
+            "Look at its readings' reasons.",
         )
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
     sigma_is_known = "sigma" in points
@@ -282,7 +283,8 @@ def _estimate_start(
     try:
         return _KEPT_STARTS.find_or_make(parts, estimate)
     except DataError as error:
-        raise DataError(f"trial {trial.name}: {error}") from error
+        place = f"trial {trial.name}"
+        raise DataError(place, error.fault, error.remedy) from error
 
 
 def _turn_from_hand(hand: HandMotion, start: StringState) -> float:
@@ -306,8 +308,9 @@ def observed_motion(observation: Observation) -> JointMotion | HandMotion:
         return resample_joint_motion(arm["t"].to_numpy(), arm[list(JOINTS)].to_numpy())
     if grasp is None:
         raise DataError(
-            f"trial {observation.trial}: neither joint angles nor grasp poses. Add "
-            "arm.parquet or grasp.parquet."
+            f"trial {observation.trial}",
+            "neither joint angles nor grasp poses",
+            "Add arm.parquet or grasp.parquet.",
         )
     pose = grasp[["x", "y", "theta"]].to_numpy()
     return resample_hand_motion(grasp["t"].to_numpy(), pose)

@@ -140,8 +140,10 @@ class HandMotion:
         for effect, parameters in effects:
             if "grasp" not in effect.laws():
                 raise DataError(
-                    f"effect '{effect.name}' acts on joint angles, but this trial has "
-                    "only poses of the grasp. Add arm.parquet, or leave the effect out."
+                    "",
+                    f"effect '{effect.name}' acts on joint angles, but this "
+                    "trial has only poses of the grasp",
+                    "Add arm.parquet, or leave the effect out.",
                 )
             pose, rate = _apply_law(
                 effect, "grasp", motion, motion.pose, motion.rate, parameters

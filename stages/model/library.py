@@ -92,8 +92,9 @@ def effect_files() -> dict[str, Path]:
     for path in (*_own_files(), *plugin_files(PLUGIN_EFFECTS)):
         if path.stem in files:
             raise PluginError(
-                f"{path}: there is an effect '{path.stem}' already. Rename the "
-                "file and its effect."
+                path,
+                f"there is an effect '{path.stem}' already",
+                "Rename the file and its effect.",
             )
         files[path.stem] = path
     return files
@@ -120,13 +121,16 @@ def _load_effect(path: Path, plugin_module: str) -> type[Effect]:
             effects.append(member)
     if [getattr(effect, "name", "") for effect in effects] != [path.stem]:
         raise PluginError(
-            f"{path}: it must hold one effect, with name = '{path.stem}'. See "
-            "stages/model/effects/README.md."
+            path,
+            f"it must hold one effect, with name = '{path.stem}'",
+            "See stages/model/effects/README.md.",
         )
     effect = effects[0]
     if effect.__abstractmethods__ or not hasattr(effect, "reference"):
         missing = ", ".join(sorted(effect.__abstractmethods__)) or "reference"
         raise PluginError(
-            f"{path}: the effect lacks {missing}. See stages/model/effects/README.md."
+            path,
+            f"the effect lacks {missing}",
+            "See stages/model/effects/README.md.",
         )
     return effect

@@ -158,8 +158,10 @@ def keep_settings(study: Study, config: Config, folder: Path) -> None:
         ]
         if changed:
             raise UserError(
-                f"{folder}: this folder holds a study with other settings ({', '.join(sorted(changed))}). "
-                "Choose another folder=..., or repeat its settings."
+                folder,
+                "this folder holds a study with other settings "
+                f"({', '.join(sorted(changed))})",
+                "Choose another folder=..., or repeat its settings.",
             )
     write_text(path, text)
 

@@ -416,7 +416,7 @@ def test_only_points_that_jump_away_and_back_are_left_out_of_a_fit(monkeypatch):
 
     def keep(trials):
         used.extend(trials)
-        raise DataError("enough")
+        raise DataError("", "enough")
 
     monkeypatch.setattr(offset, "possible_windows", keep)
     for estimate in (find_wrong_clock, estimate_clock_offset):

@@ -107,7 +107,7 @@ def test_failed_run_states_the_reason_and_has_no_summary(tmp_path):
     (tmp_path / "run" / "iterations/02/estimate/fit.parquet").unlink()
 
     def broken(*given, **how):
-        raise DataError("the estimation broke")
+        raise DataError("", "the estimation broke")
 
     with pytest.raises(DataError, match="broke"):
         toy_run(tmp_path / "run", toy_experiment(estimate_by=broken))

@@ -115,8 +115,10 @@ def excite(
     """
     if highest * duration < 1:
         raise DataError(
-            f"one period of excite.highest={highest:g} Hz (conf/excite) is longer than "
-            f"excite.duration={duration:g} s. Raise one of them."
+            "",
+            f"one period of excite.highest={highest:g} Hz (conf/excite) is "
+            f"longer than excite.duration={duration:g} s",
+            "Raise one of them.",
         )
     rng = np.random.default_rng(seed)
     outcomes: Counter[str] = Counter()
@@ -135,8 +137,9 @@ def excite(
     if best is None:
         counts = [f"{reason}: {count}" for reason, count in outcomes.most_common()]
         raise DataError(
-            f"no motion of {outcomes.total()} is allowed ({'; '.join(counts)}). "
-            "Lower excite.speed, raise excite.motions, or move the obstacles."
+            "",
+            f"no motion of {outcomes.total()} is allowed ({'; '.join(counts)})",
+            "Lower excite.speed, raise excite.motions, or move the obstacles.",
         )
     return build_motion(model.arm, best, outcomes)
 

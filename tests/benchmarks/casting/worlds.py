@@ -37,7 +37,7 @@ class World:
     def replace_string(self, bench: VirtualBench) -> ReferenceBench:
         """Put the string of this world onto a bench that has performed a motion."""
         if bench.obstacles.effects:
-            raise DataError(f"simulator {self.simulator} has no obstacles")
+            raise DataError("", f"simulator {self.simulator} has no obstacles")
         lab = bench.specimen
         specimen = ReferenceSpecimen(
             lab.length, lab.parameters, lab.points, self.hidden

@@ -148,7 +148,7 @@ def diagnose_dataset(folder: Path, config: Config) -> Diagnosis:
         dataset.read_dataset(folder), experiment.string.length
     )
     if not data.trials:
-        raise DataError(f"{folder}: no trial can be used.")
+        raise DataError(folder, "no trial can be used")
     trials = list(data.trials.values())
     diagnose = experiment.stages["diagnose"]
     diagnosis: Diagnosis = diagnose(

@@ -70,7 +70,9 @@ class Family:
         path = source / self.folder / "points.parquet"
         if not path.is_file():
             raise DataError(
-                f"{path}: there is no such file. Name the folder that holds {self.folder}."
+                path,
+                "there is no such file",
+                f"Name the folder that holds {self.folder}.",
             )
         trials: dict[str, list[str]] = {}
         for trial in sorted(pd.read_parquet(path, columns=["trial"])["trial"].unique()):

@@ -119,8 +119,8 @@ def main(arguments: Sequence[str]) -> None:
     strings = options.strings or list(known)
     if unknown := set(strings) - set(known):
         raise UserError(
-            f"there is no {', '.join(sorted(unknown))} in {options.source}; "
-            f"there are {', '.join(known)}"
+            options.source,
+            f"there is no {', '.join(sorted(unknown))}; there are {', '.join(known)}",
         )
 
     jobs = []

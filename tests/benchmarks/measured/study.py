@@ -118,7 +118,8 @@ class MeasuredStudy(Study):
         if unknown := set(settings.strings) - set(known):
             names = ", ".join(sorted(unknown))
             raise UserError(
-                f"measured.strings: there is no {names}; there are {', '.join(known)}."
+                "measured.strings",
+                f"there is no {names}; there are {', '.join(known)}",
             )
         made_by = step_origin({"measured": config["measured"]}, "dataset", 0, {})
         jobs = []

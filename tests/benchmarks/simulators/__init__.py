@@ -30,8 +30,9 @@ def load_simulator(name: str) -> Simulator:
         module = importlib.import_module(f"{__name__}.{module_name}")
     except ModuleNotFoundError as missing:
         raise DataError(
-            f"simulator {name} needs {missing.name}, which is not installed: "
-            f"pip install {name}"
+            f"simulator {name}",
+            f"it needs {missing.name}, which is not installed",
+            f"pip install {name}",
         ) from None
     simulator: Simulator = getattr(module, class_name)()
     return simulator
