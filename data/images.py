@@ -137,7 +137,7 @@ class Video(Images):
         usual = float(np.median(np.diff(shown))) if len(shown) > 1 else 0.0
         if len(shown) != len(even) or usual <= 0:
             return even
-        uneven: np.ndarray = (shown - shown[0]) / usual / fps
+        uneven = (shown - shown[0]) / usual / fps
         is_even = np.abs(uneven - even).max() < 0.5 / fps
         return even if is_even else uneven
 
@@ -164,7 +164,7 @@ class Video(Images):
                 f"frame {index} cannot be read",
                 "Restore the file or leave its trial out.",
             )
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 def image_size(path: Path) -> str:

@@ -49,8 +49,7 @@ def main(config: DictConfig) -> float | None:
     """Perform one run, or one job of a sweep; return E after the last estimation."""
     single_run = import_module("stringcast.pipeline.run.single_run")
     limit_blas_threads()
-    matching_rate: float | None = single_run.main(config)
-    return matching_rate
+    return single_run.main(config)
 
 
 def limit_blas_threads() -> None:

@@ -195,7 +195,7 @@ def _position_columns(table: pd.DataFrame, unit: str) -> dict[str, list[str]]:
 
 def is_seen(track: np.ndarray) -> np.ndarray:
     """Return the frames in which a marker was seen, (F,) bool."""
-    return np.asarray(np.isfinite(track).all(axis=1))
+    return np.isfinite(track).all(axis=1)
 
 
 def find_continued(track: np.ndarray, labelled: Mapping[str, np.ndarray]) -> str | None:

@@ -159,7 +159,7 @@ class RecordingReader:
         Raises DataError if it holds no number.
         """
         raw = self.numbers(column.name).to_numpy(dtype=float)
-        values: np.ndarray = column.sign * raw + column.shift
+        values = column.sign * raw + column.shift
         values = values * factor
         if not np.isfinite(values).any():
             raise DataError(

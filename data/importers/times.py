@@ -49,8 +49,7 @@ def read_times(reader: RecordingReader) -> np.ndarray:
         return reader.read_numbers(numbers[0], "t", unit, 1 / fps, "--fps")
     _refuse_unknown_counter(reader)
     rows = reader.table.groupby(_series_names(reader)).cumcount()
-    times: np.ndarray = rows.to_numpy() / fps
-    return times
+    return rows.to_numpy() / fps
 
 
 def _series_names(reader: RecordingReader) -> pd.Series:
@@ -193,7 +192,7 @@ def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
             field=column.name,
         )
     elapsed = dates - pd.Timestamp(0, tz="UTC")
-    seconds: np.ndarray = elapsed.dt.total_seconds().to_numpy(dtype=float)
+    seconds = elapsed.dt.total_seconds().to_numpy(dtype=float)
     reader.note_use(column, "t", "dates", "values", seconds)
     return seconds
 

@@ -223,4 +223,4 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     """Convert a grey or BGR image to grey, uint8 (height, width)."""
     if image.ndim == 2:
         return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -110,7 +110,7 @@ def _distinct_numbers(numbers: np.ndarray) -> np.ndarray:
     excess = numbers - indices
     least_excess_behind = np.minimum.accumulate(excess[::-1])[::-1]
     distinct = least_excess_behind + indices
-    return np.asarray(distinct - distinct[0])
+    return distinct - distinct[0]
 
 
 def _fit_period(numbers: np.ndarray, t: np.ndarray, period: float) -> float:

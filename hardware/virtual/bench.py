@@ -156,7 +156,7 @@ class VirtualBench:
             simulated = model.simulate_string(motion, values, times)
             if simulated.finite.all():
                 break
-        return np.asarray(simulated.points[0])
+        return simulated.points[0]
 
     def joints_at(self, times: np.ndarray) -> np.ndarray:
         """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
@@ -189,7 +189,7 @@ class VirtualBench:
         """
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
-        return np.asarray(model.observed_points(points[None], values, times)[0])
+        return model.observed_points(points[None], values, times)[0]
 
 
 def _interpolate_angles(

@@ -60,7 +60,7 @@ def render_background(camera: Camera, look: Look, seed: int) -> np.ndarray:
     fine = rng.normal(size=size[::-1]).astype(np.float32)
     grain = cv2.GaussianBlur(fine, (0, 0), 3.0)
     wall = look.background + look.unevenness * light / 2
-    return np.asarray(wall + look.texture * grain / grain.std())
+    return wall + look.texture * grain / grain.std()
 
 
 def render_frame(
@@ -193,7 +193,7 @@ def strip_coverage(
     direction = np.abs(segment) / np.maximum(length[:, None], 1e-9)
     sides = direction * size_along[:, None] + direction[:, ::-1] * size_across
     areas = size_along * size_across
-    return np.asarray(np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0))
+    return np.minimum(_rectangle_sums(shape, piece, sides, areas), 1.0)
 
 
 def _drawn_segments(

@@ -70,7 +70,7 @@ class VirtualServo:
         """
         corner = 2 * np.pi * self.bandwidth / np.sqrt(np.sqrt(2) - 1)  # p [rad/s]
         pole = np.exp(-corner * self.step)
-        filtered: np.ndarray = (1 - pole) * signal
+        filtered = (1 - pole) * signal
         # in Python, as loading SciPy's filter takes half a second
         for k in range(1, len(filtered)):
             filtered[k] += pole * filtered[k - 1]

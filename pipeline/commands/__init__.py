@@ -62,10 +62,7 @@ def load_command(name: str) -> Callable[[list[str]], int]:
 
     Some commands take a second to import; runs and the help need none.
     """
-    command: Callable[[list[str]], int] = import_module(
-        f"{__name__}.{module_name_of(name)}"
-    ).main
-    return command
+    return import_module(f"{__name__}.{module_name_of(name)}").main
 
 
 def command_list() -> str:

@@ -137,8 +137,7 @@ class Experiment:
     def lab(self, trial: int) -> Lab:
         """Return arm and camera, real or virtual, for the trial of an iteration."""
         open_lab = self.stages["hardware"]
-        lab: Lab = open_lab(self.arm, self.camera, seed=self.seed, trial=trial)
-        return lab
+        return open_lab(self.arm, self.camera, seed=self.seed, trial=trial)
 
     def run_step(self, step: Step, progress: Progress) -> Any:
         """Run the stage of a step and return its artifact."""

@@ -137,8 +137,7 @@ def build_dataclass(
     """Build a validated dataclass from a block of its fields."""
     require_block(block, place, where)
     check_names(block, expected_fields(kind, block), place, where)
-    built: BuiltT = validate_value(kind, block, place, where)
-    return built
+    return validate_value(kind, block, place, where)
 
 
 def refuse_odd_paths(settings: Mapping[Any, Any], where: str) -> None:

@@ -32,8 +32,7 @@ class LazyLauncher(Launcher):
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
         """Run the missing jobs and return the last matching rate E of each, or NaN."""
-        jobs: Sequence[JobReturn] = self.launcher.launch(job_overrides, initial_job_idx)
-        return jobs
+        return self.launcher.launch(job_overrides, initial_job_idx)
 
 
 def sweep_folder() -> str:

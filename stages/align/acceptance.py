@@ -184,4 +184,4 @@ def residual_changes(
         parts = [trial.residuals(model, values)[0] for trial in problem.trials]
         residuals.append(np.concatenate(parts))
     changes = np.stack(residuals[1:]) - residuals[0]
-    return np.asarray(changes.T / problem.sigma[:, None])
+    return changes.T / problem.sigma[:, None]

@@ -48,10 +48,9 @@ EffectRanges = dict[str, tuple[float, float, float]]  # value, low, high by name
 
 def run(call: StageCall, trials: TrialSet) -> Alignment:
     """Align camera and arm from all trials of a run together."""
-    alignment: Alignment = call.by(
+    return call.by(
         call.setup.model, trials.observations, trials.films, progress=call.progress
     )
-    return alignment
 
 
 def align(

@@ -125,7 +125,7 @@ class AlignmentProblem:
         ends = np.concatenate([middle + np.diag(step), middle - np.diag(step)])
         upper, lower = np.split(self.residuals(names, ends), 2)
         slopes = (upper - lower) / (2 * step[:, None])
-        return np.asarray(slopes.T / self.sigma[:, None])
+        return slopes.T / self.sigma[:, None]
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class FreeParameters:
         fixed = np.tile(list(self.fixed_values.values()), (len(chi), 1))
         names = (*self.names, *self.fixed_values)
         residuals = self.problem.residuals(names, np.hstack([free, fixed]))
-        return np.asarray(residuals / self.problem.sigma)
+        return residuals / self.problem.sigma
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class AlignmentFit:
     @property
     def half_widths(self) -> np.ndarray:
         """Half widths of the 95 % intervals (P,)."""
-        return np.asarray(self._relative_covariance.half_width_95 * self.width)
+        return self._relative_covariance.half_width_95 * self.width
 
     @cached_property
     def inflation(self) -> float:

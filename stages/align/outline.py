@@ -132,7 +132,7 @@ def extract_silhouettes(name: str, film: Film, opening: int) -> Silhouettes:
 
     def difference(number: int) -> np.ndarray:
         image = film.images[number].astype(np.float32)
-        return np.asarray(cv2.absdiff(image, scene))
+        return cv2.absdiff(image, scene)
 
     # contrast of the arm: the upper of two classes of differences (Otsu)
     coarse = chosen[:: max(len(chosen) // COARSE_FRAMES, 1)]
@@ -293,7 +293,7 @@ def _is_clear_of_others(
     """
     _, _, to_links = link_coordinates(edge, joints)
     to_links[np.arange(len(edge)), link] = np.inf
-    return np.asarray(to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width)
+    return to_links.min(axis=1) > MIN_CLEARANCE_WIDTHS * width
 
 
 def link_coordinates(

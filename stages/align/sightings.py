@@ -57,11 +57,11 @@ class SightedTrial:
         seen = self.sightings
         joints = model.observed_arm(self.motion, values, seen.times)
         error = points_on_links(joints, seen) - seen.position
-        return np.asarray(np.sum(error * seen.direction, axis=-1))
+        return np.sum(error * seen.direction, axis=-1)
 
 
 def points_on_links(joints: np.ndarray, sightings: Sightings) -> np.ndarray:
     """Return the sighted points (C, N, 2) [m] for joints (C, F, J + 1, 2) [m]."""
     near = joints[:, sightings.frame, sightings.link - 1]
     far = joints[:, sightings.frame, sightings.link]
-    return np.asarray(near + sightings.share[:, None] * (far - near))
+    return near + sightings.share[:, None] * (far - near)

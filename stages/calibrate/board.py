@@ -81,8 +81,7 @@ class Board:
     def corners(self) -> np.ndarray:
         """Inner corners (N, 2) [m], x right and y up from the lower left corner."""
         upper_left = np.array([0.0, self.size[1]])
-        corners: np.ndarray = upper_left + self.points[:, :2] * np.array([1.0, -1.0])
-        return corners
+        return upper_left + self.points[:, :2] * np.array([1.0, -1.0])
 
     @property
     def points(self) -> np.ndarray:
@@ -100,4 +99,4 @@ class Board:
     def image(self, px_per_square: int) -> np.ndarray:
         """Draw the pattern without a border, uint8."""
         size = (self.squares[0] * px_per_square, self.squares[1] * px_per_square)
-        return np.asarray(self.pattern.generateImage(size))
+        return self.pattern.generateImage(size)

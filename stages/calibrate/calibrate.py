@@ -52,10 +52,7 @@ def run(
     Calibration
         The camera, or the reason why it cannot be used.
     """
-    calibration: Calibration = call.by(
-        tilted, flat, board, call.setup.model.camera, progress=call.progress
-    )
-    return calibration
+    return call.by(tilted, flat, board, call.setup.model.camera, progress=call.progress)
 
 
 def calibrate(

@@ -182,11 +182,9 @@ def project_corners(
     points = _board_points(board, view)
     distortion = np.array(lens.distortion)
     pixels, _ = cv2.projectPoints(points, rotation, place, lens.matrix, distortion)
-    corners: np.ndarray = pixels.reshape(-1, 2)
-    return corners
+    return pixels.reshape(-1, 2)
 
 
 def _board_points(board: Board, view: BoardView) -> np.ndarray:
     """Return corners on the board (N, 3) [m] in OpenCV's axes."""
-    points: np.ndarray = board.points[view.corners].astype(np.float32)
-    return points
+    return board.points[view.corners].astype(np.float32)

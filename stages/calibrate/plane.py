@@ -42,8 +42,7 @@ class BoardPlacement:
     def to_world(self, board: np.ndarray) -> np.ndarray:
         """Transform points on the board (N, 2) [m] to the world."""
         c, s = np.cos(self.turn), np.sin(self.turn)
-        world: np.ndarray = board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
-        return world
+        return board @ np.array([[c, s], [-s, c]]) + np.array(self.corner)
 
 
 @dataclass(frozen=True)
@@ -131,8 +130,7 @@ def _solve_plane(
     """Return the values of a plane (6,) and the Jacobian of the pixels (2 N, 6)."""
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        residuals: np.ndarray = (_camera(camera, values).pixels(world) - pixels).ravel()
-        return residuals
+        return (_camera(camera, values).pixels(world) - pixels).ravel()
 
     solution = least_squares(residuals, start, x_scale="jac", xtol=1e-12)
     return solution.x, solution.jac

@@ -104,7 +104,7 @@ def _parabola_accelerations(times: np.ndarray, places: np.ndarray) -> np.ndarray
     """
     powers = np.stack([np.ones_like(times), times, times**2], axis=-1)  # (N, W, 3)
     weights = np.linalg.pinv(powers)[:, 2]  # (N, W)
-    return np.asarray(2 * np.einsum("nw,nxw->nx", weights, places))
+    return 2 * np.einsum("nw,nxw->nx", weights, places)
 
 
 def median_gravity(trials: Iterable[CheckedTrial]) -> float:

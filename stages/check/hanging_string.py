@@ -72,7 +72,7 @@ class RestingPoints:
             path = np.full(len(places), np.nan)
             path[seen] = step_lengths(np.vstack([np.zeros(2), places[seen]])).cumsum()
             paths.append(path)
-        return np.asarray(np.nanmedian(paths, axis=0))
+        return np.nanmedian(paths, axis=0)
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ class HeavyRod:
             places.append(interpolate_rows(share, node_shares, curve))
         by_candidate = np.reshape(places, (count, hands, -1, 2))
         scale = arc_lengths[:, -1] / self.string.length
-        return np.asarray(scale[:, None, None, None] * by_candidate)
+        return scale[:, None, None, None] * by_candidate
 
     def _material(self, stiffness_and_set: np.ndarray) -> np.ndarray:
         """Compute material properties of candidates (C, 3), a row for each."""

@@ -100,7 +100,7 @@ class CheckedTrial:
         """Joint angles (K, J) [rad], or None if poses were measured."""
         if self.observation.arm is None:
             return None
-        return np.asarray(self.motion[list(JOINTS)])
+        return self.motion[list(JOINTS)]
 
     @cached_property
     def pose(self) -> np.ndarray:
@@ -281,8 +281,7 @@ def scatter_of_track(t: np.ndarray, xy: np.ndarray) -> np.ndarray:
     distance[:, range(MIN_TRACK_FRAMES), range(MIN_TRACK_FRAMES)] = 1.0
     weight = 1 / distance.prod(axis=2)
     weight /= np.linalg.norm(weight, axis=1, keepdims=True)
-    scatter: np.ndarray = np.einsum("nf,ncf->nc", weight, places).ravel()
-    return scatter
+    return np.einsum("nf,ncf->nc", weight, places).ravel()
 
 
 def _first_time(t: np.ndarray, condition: np.ndarray) -> float | None:

@@ -123,7 +123,7 @@ def matching_rate(targets: Sequence[MatchingTarget], chi: np.ndarray) -> np.ndar
     """
     values = parameter_values(targets[0].trial.model.parameters, chi)
     rates = [target.rates_by_frame(values) for target in targets]
-    return np.asarray(np.concatenate(rates, axis=1).mean(axis=1))
+    return np.concatenate(rates, axis=1).mean(axis=1)
 
 
 def frame_matching_rates(

@@ -68,7 +68,7 @@ class Candidates:
     @property
     def best(self) -> np.ndarray:
         """Exponents (P,) of the candidate with the highest E."""
-        return np.asarray(self.chi[np.nanargmax(self.matching_rate)])
+        return self.chi[np.nanargmax(self.matching_rate)]
 
 
 @dataclass(frozen=True)

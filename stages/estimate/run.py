@@ -15,7 +15,7 @@ def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimat
     """
     obstacles = call.setup.obstacles
     observations = [trim_at_contact(trial, obstacles) for trial in trials.observations]
-    result: Estimate = call.by(
+    return call.by(
         call.setup.model,
         observations,
         estimate,
@@ -23,4 +23,3 @@ def run(call: StageCall, trials: TrialSet, estimate: Estimate | None) -> Estimat
         cast_number=max(call.number, 1),  # a look has number 0
         progress=call.progress,
     )
-    return result

@@ -19,8 +19,7 @@ ROUNDING_S = 1e-9  # rounding error of frame times
 def run(call: StageCall, motion: Motion) -> Trial:
     """Perform and film a motion in the configured lab."""
     lab = call.setup.lab(call.number)
-    trial: Trial = call.by(motion, lab.arm, lab.camera)
-    return trial
+    return call.by(motion, lab.arm, lab.camera)
 
 
 def execute(

@@ -271,7 +271,7 @@ class Comparer:
         residual = self._coarse_base.residuals(self._base_chi[None])[0]
         block = time_blocks(self._coarse_base.data.trials)
         mean_square = np.bincount(block, residual**2) / np.bincount(block)
-        return np.asarray(1 / (1 + mean_square[block]))
+        return 1 / (1 + mean_square[block])
 
     @cached_property
     def _coarse_slopes(self) -> np.ndarray:

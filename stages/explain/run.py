@@ -20,7 +20,7 @@ def run(
     setup = call.setup
     observations = [trim_at_contact(t, setup.obstacles) for t in trials.observations]
     target = setup.target
-    explanation: Explanation = call.by(
+    return call.by(
         setup.model,
         observations,
         estimate,
@@ -31,4 +31,3 @@ def run(
         cast_number=call.number,
         progress=call.progress,
     )
-    return explanation

@@ -332,4 +332,4 @@ def _rest_curvatures(string: String, material: np.ndarray) -> np.ndarray:
     total_length = string.length * string.free_length_ratio(material)[:, None]
     known = {"s": hinges, "length": total_length}
     curvatures = string.law_values("rest_curvature", material, known)
-    return np.asarray(sum(curvatures, np.zeros_like(hinges))[0])
+    return sum(curvatures, np.zeros_like(hinges))[0]

@@ -94,7 +94,7 @@ class ReportedArm:
     def angle_errors(self, parameters: np.ndarray) -> np.ndarray:
         """Compute actual minus reported joint angles, (F, J) [rad]."""
         by_joint = parameters[:-2].reshape(-1, 3)
-        return np.asarray(np.einsum("fjk,jk->fj", self.angle_slopes, by_joint))
+        return np.einsum("fjk,jk->fj", self.angle_slopes, by_joint)
 
     def joint_positions(self, parameters: np.ndarray) -> np.ndarray:
         """Compute the positions of the joints, (F, J + 1, 2) [m]."""

@@ -76,10 +76,7 @@ def run(call: StageCall, trial: Trial | Film) -> Points:
     """Extract the string in each frame of a trial or film, as a stage."""
     film = trial if isinstance(trial, Film) else trial.film
     model = call.setup.model
-    points: Points = call.by(
-        aligned_footage(film, model), model.camera, progress=call.progress
-    )
-    return points
+    return call.by(aligned_footage(film, model), model.camera, progress=call.progress)
 
 
 def extract(
@@ -349,7 +346,7 @@ def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
     share = s / s[-1]
     stretch = max(length - s[-1], 0.0)
     even = share * (length - stretch)
-    return np.asarray(even + stretch * share * (2 - share))
+    return even + stretch * share * (2 - share)
 
 
 def _build_tables(

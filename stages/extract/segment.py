@@ -169,7 +169,7 @@ def uncovered_brightness(frames: Sequence[np.ndarray]) -> np.ndarray:
     levels = _map_bands(_low_and_median, frames)
     low, median = levels[..., 0], levels[..., 1]
     # By noise, a low percentile is darker than the scene.
-    return np.asarray(low + np.median(median - low))
+    return low + np.median(median - low)
 
 
 def _map_bands(
@@ -243,7 +243,7 @@ def mask_half_width(mask: np.ndarray) -> float:
 def _sorted_values(stack: np.ndarray) -> np.ndarray:
     """Sort each pixel's values from dark to bright, (height, width, F)."""
     # OpenCV transposes ten times as fast as NumPy.
-    by_pixel: np.ndarray = cv2.transpose(stack.reshape(len(stack), -1))
+    by_pixel = cv2.transpose(stack.reshape(len(stack), -1))
     by_pixel.sort(axis=-1, kind="stable")  # a fast radix sort
     return by_pixel.reshape(*stack.shape[1:], -1)
 
@@ -369,4 +369,4 @@ def remove_specks(mask: np.ndarray) -> np.ndarray:
     """Remove patches smaller than MIN_PATCH_PX from a mask, uint8 of 0 and 1."""
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     is_large = stats[:, cv2.CC_STAT_AREA] >= MIN_PATCH_PX
-    return np.asarray(mask & is_large[label].astype(np.uint8))
+    return mask & is_large[label].astype(np.uint8)

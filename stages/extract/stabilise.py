@@ -116,8 +116,7 @@ def _downscale(image: np.ndarray, scale: int) -> np.ndarray:
         fy=1 / scale,
         interpolation=cv2.INTER_AREA,
     )
-    blurred: np.ndarray = cv2.GaussianBlur(small, (0, 0), 1.0)
-    return blurred
+    return cv2.GaussianBlur(small, (0, 0), 1.0)
 
 
 def _register_images(
@@ -169,16 +168,15 @@ def _newton_steps(
     sums = np.stack(products)
     without = sums.sum(axis=0) - sums
     matrix = without[:, :3, :3] + 1e-6 * np.eye(3)
-    return np.asarray(np.linalg.solve(matrix, without[:, :3, 3:])[..., 0])
+    return np.linalg.solve(matrix, without[:, :3, 3:])[..., 0]
 
 
 def _shift_image(image: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Shift an image by (d_u, d_v) [px]."""
-    shifted: np.ndarray = cv2.warpAffine(
+    return cv2.warpAffine(
         image,
         np.array([[1, 0, shift[0]], [0, 1, shift[1]]]),
         image.shape[::-1],
         flags=cv2.INTER_LANCZOS4,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return shifted

@@ -65,7 +65,7 @@ def centroid_sigma(
         + MIN_SIGMA_PX**2
         + (CENTRE_ERROR_SHARE * half_width) ** 2
     )
-    return np.asarray(np.sqrt(variance))
+    return np.sqrt(variance)
 
 
 def point_sigmas(
@@ -95,4 +95,4 @@ def point_sigmas(
     to_end = (hidden[-1] - hidden) ** 2 + end_sigma**2
     along = ((1 - share) * hidden) ** 2 + share**2 * to_end
     extension = END_SLOPE_SIGMA * np.maximum(number - read_count, 0)
-    return np.asarray(np.sqrt((across**2 + extension**2 + along) / 2))
+    return np.sqrt((across**2 + extension**2 + along) / 2)

@@ -157,4 +157,4 @@ def _bernstein(u: np.ndarray, degree: int) -> np.ndarray:
         u_powers[..., n + 1] = u_powers[..., n] * u[..., 0]
         rest_powers[..., n + 1] = rest_powers[..., n] * (1 - u[..., 0])
     choices = comb(degree, np.arange(degree + 1))
-    return np.asarray(choices * u_powers * rest_powers[..., ::-1])
+    return choices * u_powers * rest_powers[..., ::-1]

@@ -130,10 +130,7 @@ def run(call: StageCall, motion: Motion | None, estimate: Estimate | None) -> Mo
         # the estimate may include causes
         model = extend_model(model, estimate.values())
     task = (model, setup.target, setup.obstacles)
-    generated: Motion = call.by(
-        *task, motion, estimate, seed=call.seed, progress=call.progress
-    )
-    return generated
+    return call.by(*task, motion, estimate, seed=call.seed, progress=call.progress)
 
 
 @declare_string_counts(lambda given: {"attempts": given["attempts"]})

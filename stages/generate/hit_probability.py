@@ -74,7 +74,7 @@ class CastOutcome:
         """
         contact_weight = CONTACT_WEIGHT * self.free_share
         weight = np.where(self.free_share == 1, 1, contact_weight)
-        return np.asarray(np.mean(weight / (1 + self.distance**2), axis=1))
+        return np.mean(weight / (1 + self.distance**2), axis=1)
 
 
 @dataclass(frozen=True)
@@ -102,13 +102,13 @@ class SimulatedMotions:
     def tip(self) -> np.ndarray:
         """Positions of the tip at the ticks, with its error, (M K, T, 2) [m]."""
         error = self.error_share[-1] * self.tip_error
-        return np.asarray(self.simulated[:, :, -1] + error)
+        return self.simulated[:, :, -1] + error
 
     @property
     def points(self) -> np.ndarray:
         """Points of the string at the ticks, with their error, (M K, T, n, 2) [m]."""
         errors = self.error_share[:, None] * self.tip_error[:, :, None]
-        return np.asarray(self.simulated + errors)
+        return self.simulated + errors
 
     def judge(self, task: CastTask) -> CastOutcome:
         """Compute how near the tips come to a task's target before any contact."""
@@ -250,7 +250,7 @@ def tip_errors(
     unexplained = np.sqrt(1 - correlation**2)[..., None]
     spread = np.maximum(largest[:, None], sigma) * unexplained  # (M, T, 2)
     errors = repeated[:, None] + spread[:, None] * normal  # (M, K, T, 2)
-    return np.asarray(errors.reshape(-1, *errors.shape[2:]))
+    return errors.reshape(-1, *errors.shape[2:])
 
 
 def sample_joint_motions(
@@ -303,7 +303,7 @@ def distances_of_segments(path: np.ndarray) -> np.ndarray:
     share = np.clip(-product / np.maximum(square, 1e-300), 0, 1)  # of each segment
     nearest_x = start_x + share * segment_x
     nearest_y = start_y + share * segment_y
-    return np.asarray(np.hypot(nearest_x, nearest_y))
+    return np.hypot(nearest_x, nearest_y)
 
 
 def _contact_ticks(

@@ -63,11 +63,11 @@ class RepeatedMisfit:
         squares = (hand_paths(self.arm, curves, until) - self.hand_path(until)) ** 2
         total = np.cumsum(squares.sum(axis=-1), axis=1)
         mean = total / np.arange(1, total.shape[1] + 1)
-        return np.asarray(np.exp(-0.5 * mean / self.similarity**2))
+        return np.exp(-0.5 * mean / self.similarity**2)
 
     def hand_path(self, until: float) -> np.ndarray:
         """Return the planned path of the hand in the last cast at ticks, (K, 2) [m]."""
-        return np.asarray(hand_paths(self.arm, self.last, until)[0])
+        return hand_paths(self.arm, self.last, until)[0]
 
     def tip_at_ticks(self, count: int) -> np.ndarray:
         """Interpolate the misfit of the last cast at ticks, (K, 2) [m]."""
@@ -82,13 +82,13 @@ class RepeatedMisfit:
         near the hand, which hardly move. The error of the tip may be larger.
         """
         sizes = np.hypot(*self.tip_at_ticks(count).T)
-        return np.asarray(np.maximum.accumulate(sizes) / np.sqrt(2))
+        return np.maximum.accumulate(sizes) / np.sqrt(2)
 
 
 def hand_paths(arm: Arm, curves: Curves, until: float) -> np.ndarray:
     """Return the paths of the hand on M motions at ticks, (M, K, 2) [m]."""
     angles, _ = curves.sample(arm.tick, until)
-    return np.asarray(arm.joint_positions(angles)[:, :, -1])
+    return arm.joint_positions(angles)[:, :, -1]
 
 
 def find_repeated_misfit(

@@ -91,7 +91,7 @@ def stratified_uniforms(
         Numbers between 0 and 1.
     """
     parts = np.argsort(rng.random((count, quantities)), axis=0)
-    return np.asarray((parts + rng.random((count, quantities))) / count)
+    return (parts + rng.random((count, quantities))) / count
 
 
 def sample_uncertainty(

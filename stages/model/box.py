@@ -46,8 +46,7 @@ class Box:
         enter, leave = _slab_crossing(self.centre, self.half_size, a, b)
         first = np.maximum(enter[..., 0], enter[..., 1])
         last = np.minimum(leave[..., 0], leave[..., 1])
-        crosses: np.ndarray = np.maximum(first, 0.0) <= np.minimum(last, 1.0)
-        return crosses
+        return np.maximum(first, 0.0) <= np.minimum(last, 1.0)
 
     def is_crossed_along(self, path: np.ndarray) -> np.ndarray:
         """Return whether segments of paths (..., K, 2) touch the box, (..., K - 1)."""

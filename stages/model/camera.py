@@ -98,15 +98,12 @@ class Camera:
         if self.lens is not None:
             rays = _map_through_plane(self._plane_to_rays, world)
             return self.lens.pixels(rays[..., :2] / rays[..., 2:])
-        flat: np.ndarray = (
-            np.asarray(self.origin_px) + np.asarray(world) @ self._similarity.T
-        )
+        flat = np.asarray(self.origin_px) + np.asarray(world) @ self._similarity.T
         if self.distortion == 0.0:
             return flat
         centre, half = self._image_centre_and_half_width()
         offset = (flat - centre) / half
-        pixels: np.ndarray = centre + half * offset * self._radial_factor(offset)
-        return pixels
+        return centre + half * offset * self._radial_factor(offset)
 
     def world(self, pixels: np.ndarray) -> np.ndarray:
         """Map pixels (u, v) to world points; the inverse of `pixels`.
@@ -125,8 +122,7 @@ class Camera:
         if self.lens is not None:
             rays_to_plane = np.linalg.inv(self._plane_to_rays)
             points = _map_through_plane(rays_to_plane, self.lens.rays(flat))
-            in_plane: np.ndarray = points[..., :2] / points[..., 2:]
-            return in_plane
+            return points[..., :2] / points[..., 2:]
         if self.distortion != 0.0:
             centre, half = self._image_centre_and_half_width()
             bent = (flat - centre) / half
@@ -135,12 +131,11 @@ class Camera:
                 straight = bent / self._radial_factor(straight)
             flat = centre + half * straight
         offset = flat - np.asarray(self.origin_px)
-        world: np.ndarray = offset @ np.linalg.inv(self._similarity).T
-        return world
+        return offset @ np.linalg.inv(self._similarity).T
 
     def _radial_factor(self, offset: np.ndarray) -> np.ndarray:
         r2 = np.sum(offset**2, axis=-1, keepdims=True)
-        return np.asarray(1 + self.distortion * r2)
+        return 1 + self.distortion * r2
 
     @cached_property
     def _similarity(self) -> np.ndarray:
@@ -171,5 +166,4 @@ class Camera:
 
 def _map_through_plane(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Map points (..., 2) to (..., 3) by a (3, 3) projection matrix."""
-    mapped: np.ndarray = np.asarray(points) @ plane[:, :2].T + plane[:, 2]
-    return mapped
+    return np.asarray(points) @ plane[:, :2].T + plane[:, 2]

@@ -180,8 +180,7 @@ def rotates_about_centre(law: str) -> Invariant:
 
     def rotate_about(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
         x, y = np.moveaxis(points - centre, -1, 0)
-        rotated: np.ndarray = centre + np.stack(_rotate(x, y), axis=-1)
-        return rotated
+        return centre + np.stack(_rotate(x, y), axis=-1)
 
     def move_arguments(arguments: LawArguments) -> LawArguments:
         centre = arguments["camera"].centre

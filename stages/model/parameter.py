@@ -76,18 +76,16 @@ class Parameter:
         else:
             share = (value - self.low) / (self.high - self.low)
             position = np.maximum(share, 0.0) ** (1 / self.root)
-        exponents: np.ndarray = np.clip(position, 0.0, 1.0)
-        return exponents
+        return np.clip(position, 0.0, 1.0)
 
     def relative_size(self, chi: np.ndarray) -> np.ndarray:
         """Return distances of values from the start over the typical size."""
-        return np.asarray((self.value(chi) - self.start) / self.typical_size)
+        return (self.value(chi) - self.start) / self.typical_size
 
     def slope(self, chi: np.ndarray) -> np.ndarray:
         """Return the derivative of `value` with respect to chi."""
         if self.low > 0:
-            slope: np.ndarray = np.log(self.high / self.low) * self.value(chi)
-            return slope
+            return np.log(self.high / self.low) * self.value(chi)
         power = np.asarray(chi) ** (self.root - 1)
         return (self.high - self.low) * self.root * power
 

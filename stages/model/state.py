@@ -45,8 +45,7 @@ class StringState:
         """
         if np.ndim(self.t) == 0:
             return times
-        elapsed: np.ndarray = times - np.asarray(self.t)[:, None]
-        return elapsed
+        return times - np.asarray(self.t)[:, None]
 
     def for_candidates(self, chosen: np.ndarray | slice) -> StringState:
         """Return the states of some candidates, by number."""
@@ -108,8 +107,7 @@ def _prepend(first: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
 def _interpolate(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Interpolate values at x between nodes, each (M,) or (C, M)."""
     if x.ndim == nodes.ndim == values.ndim == 1:
-        interpolated: np.ndarray = np.interp(x, nodes, values)
-        return interpolated
+        return np.interp(x, nodes, values)
     arrays = (x, nodes, values)
     count = max(len(array) for array in arrays if array.ndim == 2)
     rows = [np.broadcast_to(array, (count, array.shape[-1])) for array in arrays]

@@ -361,10 +361,7 @@ class String(Parametrised):
 
         material: (C, P).
         """
-        free_lengths: np.ndarray = (
-            self.arc_lengths() * self.free_length_ratio(material)[:, None]
-        )
-        return free_lengths
+        return self.arc_lengths() * self.free_length_ratio(material)[:, None]
 
     def point_masses(self, material: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the masses of points and the lengths of string that they represent.

@@ -235,8 +235,7 @@ def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
     model: base or extended.
     """
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    distances: np.ndarray = np.hypot(x, y).to_numpy()
-    return distances
+    return np.hypot(x, y).to_numpy()
 
 
 def trial_rms(table: pd.DataFrame, model: str) -> pd.Series:

@@ -60,10 +60,9 @@ SIGHTING_INTERVAL_S = 0.01  # at which the design is evaluated
 
 def run(call: StageCall) -> Motion:
     """Choose the motion for a run's model and obstacles."""
-    motion: Motion = call.by(
+    return call.by(
         call.setup.model, call.setup.obstacles, seed=call.seed, progress=call.progress
     )
-    return motion
 
 
 def excite(
@@ -175,7 +174,7 @@ def rise_and_fade(share: np.ndarray) -> np.ndarray:
     The second derivative is continuous.
     """
     x = np.clip(np.minimum(share, 1 - share) / RAMP_FRACTION, 0, 1)
-    return np.asarray(x**3 * (10 - 15 * x + 6 * x**2))
+    return x**3 * (10 - 15 * x + 6 * x**2)
 
 
 def largest_scale(

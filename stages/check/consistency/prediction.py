@@ -124,7 +124,7 @@ class Prediction:
         before = min(int(place), last - 1)
         share = place - before
         below, above = self.nodes[:, :, before], self.nodes[:, :, before + 1]
-        return np.asarray(below + share * (above - below))
+        return below + share * (above - below)
 
 
 def predict(
@@ -277,7 +277,7 @@ def clock_offsets(prediction: Prediction, tracks: list[Track]) -> np.ndarray:
     overlap = np.minimum(end + offsets, prediction.t[-1]) - np.maximum(
         begin + offsets, prediction.t[0] - LEAD_S
     )
-    return np.asarray(offsets[overlap >= wanted])
+    return offsets[overlap >= wanted]
 
 
 def track_errors(

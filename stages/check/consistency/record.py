@@ -33,7 +33,7 @@ class Track:
     @property
     def rest_place(self) -> np.ndarray:
         """Median position of the first frames (2,) [m]."""
-        return np.asarray(np.median(self.xy[:REST_FRAMES], axis=0))
+        return np.median(self.xy[:REST_FRAMES], axis=0)
 
     @property
     def rest_spread(self) -> float:

@@ -160,4 +160,4 @@ class _RestProblem:
         """Compute simulated minus measured points over sigma, (C, 2 N)."""
         values = self.full_values(chi)
         residuals = normalised_residuals(self.trial.model, [self.trial], values)
-        return np.asarray(np.nan_to_num(residuals[0], nan=DIVERGED_RESIDUAL))
+        return np.nan_to_num(residuals[0], nan=DIVERGED_RESIDUAL)

@@ -49,5 +49,4 @@ class CameraOffset(CameraEffect):
         y: Quantity,
     ) -> np.ndarray:
         """Return the shifted points."""
-        observed: np.ndarray = points + np.concatenate([x, y], axis=-1)
-        return observed
+        return points + np.concatenate([x, y], axis=-1)

@@ -42,5 +42,4 @@ class ClockDrift(ClockEffect):
     @staticmethod
     def times(t: np.ndarray, rate: Quantity) -> np.ndarray:
         """Return times on the arm's clock."""
-        drifted: np.ndarray = t * (1 + rate)
-        return drifted
+        return t * (1 + rate)

@@ -55,5 +55,4 @@ class GraspAngle(HandEffect):
     @staticmethod
     def grasp(t: np.ndarray, pose: np.ndarray, angle: Quantity) -> np.ndarray:
         """Return the poses with the direction turned."""
-        turned_pose: np.ndarray = pose + angle * np.array([0.0, 0.0, 1.0])
-        return turned_pose
+        return pose + angle * np.array([0.0, 0.0, 1.0])

@@ -69,7 +69,6 @@ class GraspSlip(HandEffect):
         )
         distance = speed * rise * (rising - falling)
         theta = pose[..., 2:]
-        moved_pose: np.ndarray = pose + distance * np.concatenate(
+        return pose + distance * np.concatenate(
             [np.cos(theta), np.sin(theta), 0 * theta], axis=-1
         )
-        return moved_pose

@@ -40,5 +40,4 @@ class JointGain(HandEffect):
     @staticmethod
     def joints(t: np.ndarray, angles: np.ndarray, gain: Quantity) -> np.ndarray:
         """Return the angles, with changes since the first scaled by 1 + gain."""
-        joint_angles: np.ndarray = angles + gain * (angles - angles[:, :1])
-        return joint_angles
+        return angles + gain * (angles - angles[:, :1])

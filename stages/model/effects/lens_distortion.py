@@ -57,7 +57,6 @@ class LensDistortion(CameraEffect):
         """Return the distorted points."""
         offset = points - camera.centre
         half = camera.width / 2 / camera.px_per_m
-        observed: np.ndarray = points + radial * offset * np.sum(
+        return points + radial * offset * np.sum(
             (offset / half) ** 2, axis=-1, keepdims=True
         )
-        return observed

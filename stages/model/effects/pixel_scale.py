@@ -41,5 +41,4 @@ class PixelScale(CameraEffect):
         excess: Quantity,
     ) -> np.ndarray:
         """Return the scaled points."""
-        observed: np.ndarray = points * (1 + excess)
-        return observed
+        return points * (1 + excess)

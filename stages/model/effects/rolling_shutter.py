@@ -80,5 +80,4 @@ class RollingShutter(CameraEffect):
         """
         row = camera.pixels(points)[..., 1:] / camera.height - stamped
         speed = -velocity[..., 1:] * camera.px_per_m / camera.height
-        observed: np.ndarray = points + velocity * readout * row / (1 - readout * speed)
-        return observed
+        return points + velocity * readout * row / (1 - readout * speed)

@@ -35,5 +35,4 @@ class TimeOffset(ClockEffect):
     @staticmethod
     def times(t: np.ndarray, offset: Quantity) -> np.ndarray:
         """Return times on the arm's clock."""
-        shifted: np.ndarray = t + offset
-        return shifted
+        return t + offset

@@ -128,8 +128,7 @@ def richardson_limit(
 
     The fine result has twice the number of parts or half the step.
     """
-    limit: np.ndarray = fine + (fine - coarse) / (2**order - 1)
-    return limit
+    return fine + (fine - coarse) / (2**order - 1)
 
 
 def _refine_points(
@@ -186,5 +185,4 @@ def _max_distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     It is infinite where a run was rejected.
     """
     distance = np.linalg.norm(a - b, axis=-1).max(axis=1)
-    largest: np.ndarray = np.nan_to_num(distance, nan=np.inf)
-    return largest
+    return np.nan_to_num(distance, nan=np.inf)

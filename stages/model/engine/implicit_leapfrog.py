@@ -103,8 +103,7 @@ class ImplicitLeapfrog(Integrator):
         self, steepest: np.ndarray, gentlest: np.ndarray
     ) -> np.ndarray:
         """Return the slope beyond the linear part, (C,)."""
-        slope: np.ndarray = steepest - gentlest
-        return slope
+        return steepest - gentlest
 
     def largest_stable_step(
         self, frequency2: np.ndarray, damping: np.ndarray, drag: np.ndarray
@@ -116,8 +115,7 @@ class ImplicitLeapfrog(Integrator):
         """
         c = damping.sum(axis=0) + 2.0 * drag
         root = np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0))
-        largest_step: np.ndarray = 4.0 / np.maximum(c + root, 1e-300)
-        return largest_step
+        return 4.0 / np.maximum(c + root, 1e-300)
 
     def row_values(
         self, masses: np.ndarray, segment: np.ndarray, slopes: Slopes, dt: float

@@ -124,10 +124,7 @@ class SemiImplicitEuler(Integrator):
         Jury's criterion for x'' = -w^2 x - c x' is w^2 dt^2 + 2 c dt < 4.
         """
         c = damping.sum(axis=0) + drag
-        largest_step: np.ndarray = 4.0 / (
-            c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0))
-        )
-        return largest_step
+        return 4.0 / (c + np.sqrt(c**2 + 4.0 * frequency2.sum(axis=0)))
 
 
 # Rows: position and velocity at the start of the step, and weighted sums of stages.
@@ -187,5 +184,4 @@ class RungeKutta4(Integrator):
         both together is a simple one.
         """
         c = damping.sum(axis=0) + drag
-        largest_step: np.ndarray = 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))
-        return largest_step
+        return 2.6 / (c + np.sqrt(frequency2.sum(axis=0)))

@@ -22,10 +22,7 @@ def last_needed_tick(position: np.ndarray) -> np.ndarray:
     position: times, (F,) or (C, F) in ticks.
     """
     latest = np.atleast_2d(position).max(axis=1)
-    last_tick: np.ndarray = np.maximum(
-        np.ceil(latest - 1e-9).astype(int), TIME_NODES - 1
-    )
-    return last_tick
+    return np.maximum(np.ceil(latest - 1e-9).astype(int), TIME_NODES - 1)
 
 
 def is_bounded(ticks: np.ndarray, last: np.ndarray) -> np.ndarray:

@@ -105,7 +105,7 @@ def _drag_rate(string: String, material: np.ndarray) -> np.ndarray:
     rises = loads[:, 1::2] - loads[:, ::2]  # (C, 2, 2)
     steepest = np.abs(rises).max(axis=(1, 2)) / (SPEED_DIFFERENCE * slow)
     masses, cells = plain.point_masses(undeclared_material)
-    return np.asarray(steepest * (cells / masses).max(axis=1))
+    return steepest * (cells / masses).max(axis=1)
 
 
 def frequency_and_damping_bounds(

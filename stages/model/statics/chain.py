@@ -116,8 +116,7 @@ def guess_angles(chain: Chain, theta: np.ndarray, turn: np.ndarray) -> np.ndarra
 
     middles = string.segment_middles() * string.free_length_ratio(material)[:, None]
     share = 1 - np.exp(-middles / bending_length)
-    angles: np.ndarray = theta[:, None] + fall[:, None] * share
-    return angles
+    return theta[:, None] + fall[:, None] * share
 
 
 def forces_beyond_segments(
@@ -150,10 +149,7 @@ def static_point_forces(
     arguments = {**place, **direction, "s": chain.arc_lengths[:, 1:]}
     loads = load_sum(string, material, arguments)
     fall = vector_slot_sum(string, material, "acceleration", {**place, "t": ZERO})
-    forces: np.ndarray = (
-        loads * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
-    )
-    return forces
+    return loads * chain.cells[:, 1:, None] + fall * chain.masses[:, 1:, None]
 
 
 def sum_to_tip(values: np.ndarray) -> np.ndarray:
@@ -191,8 +187,7 @@ def hinge_curvatures(chain: Chain, angles: np.ndarray) -> np.ndarray:
     angles: angles of the segments, (C, n - 1) [rad].
     """
     turns = angles[:, 1:] - angles[:, :-1]
-    curvatures: np.ndarray = turns / chain.segment_length - chain.rest_curvature
-    return curvatures
+    return turns / chain.segment_length - chain.rest_curvature
 
 
 def grasp_hinge_angle(
@@ -203,8 +198,7 @@ def grasp_hinge_angle(
     theta: direction of the hand, (1 or C,) [rad]. angles: angles of the segments,
     (C, n - 1) [rad].
     """
-    hinge_angle: np.ndarray = angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
-    return hinge_angle
+    return angles[:, :1] - theta[:, None] - chain.rest_grasp_angle
 
 
 def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
@@ -213,8 +207,7 @@ def grasp_rest_angle(string: String, material: np.ndarray) -> np.ndarray:
     It comes from the hinge's share of the first segment's curvature.
     """
     share = string.grasp_cell * string.free_segment_lengths(material)[:, None]
-    rest_angle: np.ndarray = share * _rest_curvature(string, material, ZERO)
-    return rest_angle
+    return share * _rest_curvature(string, material, ZERO)
 
 
 def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
@@ -222,8 +215,7 @@ def grasp_compliance_length(string: String, material: np.ndarray) -> np.ndarray:
     _, bending = slot_sum_and_slope(string, material, "moment", ZERO)
     _, grasp = slot_sum_and_slope(string, material, "grasp_moment", ZERO)
     ratio = bending / np.maximum(grasp, MIN_TURN_STIFFNESS)
-    compliance_length: np.ndarray = ratio[:, 0]
-    return compliance_length
+    return ratio[:, 0]
 
 
 def _rest_curvature(string: String, material: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -89,9 +89,7 @@ def _step_fraction(strings: _RelaxingStrings, step: np.ndarray) -> np.ndarray:
     that stays.
     """
     largest_turn = np.abs(step[:, : strings.angles.shape[1]]).max(axis=1)
-    fraction: np.ndarray = np.minimum(
-        1.0, MAX_TURN_RAD / np.maximum(largest_turn, 1e-300)
-    )
+    fraction = np.minimum(1.0, MAX_TURN_RAD / np.maximum(largest_turn, 1e-300))
     fall_before = np.sum(strings.residual * step, axis=1)
     fall_after = _energy_fall_rate(strings, step, fraction)
     flat = MAX_END_SLOPE_SHARE * fall_before
@@ -124,8 +122,7 @@ def _energy_fall_rate(
 ) -> np.ndarray:
     """Find the negative slope of the energy along a step, at a fraction of it, (C,)."""
     moved = strings.with_step(np.arange(len(step)), fraction[:, None] * step)
-    fall_rate: np.ndarray = np.sum(moved.residual * step, axis=1)
-    return fall_rate
+    return np.sum(moved.residual * step, axis=1)
 
 
 @dataclass(frozen=True)
@@ -182,14 +179,12 @@ class _RelaxingStrings:
     @property
     def force_along(self) -> np.ndarray:
         """Component of the force along the segment, (C, n - 1)."""
-        along: np.ndarray = np.sum(self.force * self.tangent, axis=-1)
-        return along
+        return np.sum(self.force * self.tangent, axis=-1)
 
     @property
     def force_across(self) -> np.ndarray:
         """Component of the force across the segment, (C, n - 1)."""
-        across: np.ndarray = np.sum(self.force * self.normal, axis=-1)
-        return across
+        return np.sum(self.force * self.normal, axis=-1)
 
     @cached_property
     def moments(self) -> tuple[np.ndarray, np.ndarray]:

@@ -74,7 +74,7 @@ def _string_edges(s: np.ndarray, length: float) -> np.ndarray:
     if len(places) == 1:
         return np.array([0.0, max(length, places[0], 1e-3)])
     padded = np.pad(places, 1, mode="reflect", reflect_type="odd")
-    edges: np.ndarray = (padded[1:] + padded[:-1]) / 2
+    edges = (padded[1:] + padded[:-1]) / 2
     return edges.clip(0.0, max(length, places[-1]))
 
 

@@ -100,7 +100,7 @@ def region_of_run(record: RunRecord) -> ImageRegion:
 
 def box_corners(box: Box) -> np.ndarray:
     """Return the corners of a box in order [m], shape (4, 2)."""
-    return np.asarray(box.centre + CORNER_SIGNS * box.half_size)
+    return box.centre + CORNER_SIGNS * box.half_size
 
 
 def blank_frame(region: ImageRegion, width: float) -> tuple[Figure, Axes]:
@@ -253,8 +253,7 @@ def _film_pixels(
     if not np.isfinite(world).all():
         return []
     on_film = (camera.pixels(world) - (region.left, region.top) + 0.5) * scale
-    rounded: list[list[float]] = np.round(on_film, 1).tolist()
-    return rounded
+    return np.round(on_film, 1).tolist()
 
 
 def choose_frames(cast: CastRecord, count: int) -> list[int]:

@@ -87,7 +87,7 @@ def _map_panels(row_count: int) -> tuple[Figure, np.ndarray]:
         "wspace": 0.12,
         "hspace": 0.4,
     }
-    panels: np.ndarray = figure.subplots(
+    panels = figure.subplots(
         row_count, 2, sharex=True, sharey=True, squeeze=False, gridspec_kw=margins
     )
     for column, words in enumerate(COMPONENTS.values()):
@@ -136,7 +136,7 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
 def _complex_residual(table: pd.DataFrame, model: str) -> np.ndarray:
     """Return measured minus simulated positions as x + iy [m], shape (n,)."""
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    return np.asarray(x + 1j * y)
+    return x + 1j * y
 
 
 # --- over time
@@ -146,7 +146,7 @@ def residual_charts(record: DiagnosisRecord, table: pd.DataFrame) -> list[Chart]
     counts = np.bincount(frame)
 
     def rms_by_frame(distances: np.ndarray) -> np.ndarray:
-        return np.asarray(np.sqrt(np.bincount(frame, distances**2) / counts))
+        return np.sqrt(np.bincount(frame, distances**2) / counts)
 
     ends = tip_points(table)
     whole, tip = [], []

@@ -36,7 +36,7 @@ class FilmCanvas:
     @property
     def size_px(self) -> np.ndarray:
         """Width and height of the film."""
-        return np.asarray((self.high - self.low) * self.px_per_m + 2 * FILM_EDGE_PX)
+        return (self.high - self.low) * self.px_per_m + 2 * FILM_EDGE_PX
 
     def pixels(self, points: pd.DataFrame) -> np.ndarray:
         """Map points (K, 2) [m] to pixels from the upper left corner."""

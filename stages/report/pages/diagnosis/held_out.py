@@ -81,8 +81,7 @@ def worse_predictions(record: DiagnosisRecord) -> list[dict[str, Any]]:
         return []
     table = record.diagnosis.held_out
     is_worse = table["rms_extended"] > WORSE_FACTOR * table["rms_base"]
-    rows: list[dict[str, Any]] = table[is_worse].to_dict("records")
-    return rows
+    return table[is_worse].to_dict("records")
 
 
 def _held_out_table(record: DiagnosisRecord) -> TableView:
