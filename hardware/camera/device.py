@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeInt, PositiveFloat
 
 from stringcast.data.lazy_module import LazyModule
 from stringcast.hardware.camera.controls import Controls, apply_controls
@@ -51,7 +51,7 @@ class Device(Source):
         Time from one still to the next [s].
     """
 
-    number: Annotated[int, Field(ge=0)]
+    number: NonNegativeInt
     backend: str
     delay: Annotated[float, Field(ge=0, le=1)]
     controls: Controls

@@ -11,19 +11,17 @@ import importlib
 import os
 from collections.abc import Iterator, Sequence
 from types import ModuleType
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import NonNegativeInt, PositiveInt
 
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.sweep.attempt import Attempt
 
-ThreadCount = Annotated[int, Field(ge=1)]
+ThreadCount = PositiveInt
 
 
-def serial(
-    attempts: Sequence[Attempt], *, threads: Annotated[int, Field(ge=0)]
-) -> Iterator[str]:
+def serial(attempts: Sequence[Attempt], *, threads: NonNegativeInt) -> Iterator[str]:
     """Run jobs one after another on this machine; 0 threads: all cores."""
     for attempt in attempts:
         yield attempt(threads or usable_cores())
@@ -32,7 +30,7 @@ def serial(
 def joblib(
     attempts: Sequence[Attempt],
     *,
-    workers: Annotated[int, Field(ge=0)],
+    workers: NonNegativeInt,
     threads: ThreadCount,
 ) -> Iterator[str]:
     """Run jobs in parallel on this machine, in threads that wait for processes.

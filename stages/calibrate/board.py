@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from stringcast.data.lazy_module import LazyModule
 
@@ -33,8 +33,8 @@ class Board:
     """
 
     squares: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
-    square: Annotated[float, Field(gt=0)]
-    marker: Annotated[float, Field(gt=0)]
+    square: PositiveFloat
+    marker: PositiveFloat
     dictionary: str
 
     def __post_init__(self) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from stringcast.data.calibration import Calibration
 from stringcast.data.schema import DataError
@@ -63,9 +63,9 @@ def calibrate(
     *,
     place: BoardPlacement,
     views: Annotated[int, Field(ge=MIN_SOLVABLE_VIEWS)],
-    spread: Annotated[float, Field(gt=0)],
+    spread: PositiveFloat,
     coverage: Annotated[float, Field(gt=0, le=1)],
-    rms: Annotated[float, Field(gt=0)],
+    rms: PositiveFloat,
     outlier_ratio: Annotated[float, Field(gt=1)],
     progress: Progress = lambda share: None,
 ) -> Calibration:

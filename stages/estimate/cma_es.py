@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 from cmaes import CMA
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
@@ -42,8 +42,8 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    cast_number: Annotated[int, Field(ge=1)],
-    candidates: Annotated[int, Field(ge=1)],
+    cast_number: PositiveInt,
+    candidates: PositiveInt,
     sigma: Annotated[float, Field(gt=0, le=1)],
     population: Annotated[int, Field(ge=4)],
     matching: Matching,

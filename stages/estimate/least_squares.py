@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import PositiveInt
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
@@ -74,10 +74,10 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    cast_number: Annotated[int, Field(ge=1)],
-    starts: Annotated[int, Field(ge=1)],
-    screening: Annotated[int, Field(ge=1)],
-    iterations: Annotated[int, Field(ge=1)],
+    cast_number: PositiveInt,
+    starts: PositiveInt,
+    screening: PositiveInt,
+    iterations: PositiveInt,
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:

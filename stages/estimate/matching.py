@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.lazy_module import LazyModule
@@ -44,8 +44,8 @@ class Matching:
 
     dilations: Count
     step_px: Count
-    tip_step_px: Annotated[float, Field(gt=0)]
-    delta_w: Annotated[float, Field(ge=0)]
+    tip_step_px: PositiveFloat
+    delta_w: NonNegativeFloat
 
 
 @dataclass(frozen=True)

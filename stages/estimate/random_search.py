@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
@@ -32,11 +32,11 @@ def estimate(
     previous: Estimate | None,
     *,
     seed: int,
-    cast_number: Annotated[int, Field(ge=1)],
-    candidates: Annotated[int, Field(ge=1)],
+    cast_number: PositiveInt,
+    candidates: PositiveInt,
     chi_0: Annotated[float, Field(gt=0, le=1)],
     beta: Annotated[float, Field(gt=0, le=1)],
-    batch: Annotated[int, Field(ge=1)],
+    batch: PositiveInt,
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Estimate:

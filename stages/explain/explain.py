@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import NonNegativeFloat, PositiveInt
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
@@ -61,12 +60,12 @@ def explain(
     tolerance_m: float,
     *,
     seed: int,
-    cast_number: Annotated[int, Field(ge=1)],
-    seconds: Annotated[float, Field(ge=0)],
-    finalists: Annotated[int, Field(ge=1)],
-    starts: Annotated[int, Field(ge=1)],
-    screening: Annotated[int, Field(ge=1)],
-    iterations: Annotated[int, Field(ge=1)],
+    cast_number: PositiveInt,
+    seconds: NonNegativeFloat,
+    finalists: PositiveInt,
+    starts: PositiveInt,
+    screening: PositiveInt,
+    iterations: PositiveInt,
     matching: Matching,
     progress: Progress = lambda share: None,
 ) -> Explanation:

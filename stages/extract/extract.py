@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Trial
 from stringcast.data.images import CachedImages
@@ -83,13 +83,13 @@ def extract(
     footage: Footage,
     camera: Camera,
     *,
-    string_length: Annotated[float, Field(gt=0)],
+    string_length: PositiveFloat,
     points: Annotated[int, Field(ge=2)],
-    sigmas: Annotated[float, Field(gt=0)],
-    arm_width: Annotated[float, Field(ge=0)],
-    hidden: Annotated[float, Field(ge=0)],
+    sigmas: PositiveFloat,
+    arm_width: NonNegativeFloat,
+    hidden: NonNegativeFloat,
     shorter: Annotated[float, Field(gt=0, lt=1)],
-    longer: Annotated[float, Field(gt=0)],
+    longer: PositiveFloat,
     progress: Progress = lambda share: None,
 ) -> Points:
     """Extract the string's centre-line, tip and mask from each frame.

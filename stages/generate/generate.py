@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from stringcast.data.artifacts import (
     ATTEMPTS,
@@ -65,9 +65,9 @@ class MotionRanges(SettingsGroup):
         range
     """
 
-    shortest: Annotated[float, Field(gt=0)]
-    longest: Annotated[float, Field(gt=0)]
-    alpha: Annotated[float, Field(gt=0)]
+    shortest: PositiveFloat
+    longest: PositiveFloat
+    alpha: PositiveFloat
     fraction: Annotated[float, Field(gt=0, le=1)]
 
     def __post_init__(self) -> None:
@@ -98,9 +98,9 @@ class SearchBudget(SettingsGroup):
         (the paper takes the first)
     """
 
-    attempts: Annotated[int, Field(ge=1)]
-    batch: Annotated[int, Field(ge=1)]
-    hits: Annotated[int, Field(ge=1)]
+    attempts: PositiveInt
+    batch: PositiveInt
+    hits: PositiveInt
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import Field, NonNegativeInt, PositiveInt
 
 from stringcast.data.artifacts import ATTEMPTS, MOTION_OUTCOME, Motion
 from stringcast.data.estimates import Estimate
@@ -100,8 +100,8 @@ class SearchEffort(SettingsGroup):
 
     motions: Annotated[int, Field(ge=16)]
     string_samples: Annotated[int, Field(ge=4)]
-    cma_iterations: Annotated[int, Field(ge=0)]
-    max_restarts: Annotated[int, Field(ge=1)]
+    cma_iterations: NonNegativeInt
+    max_restarts: PositiveInt
     exploration: Annotated[float, Field(ge=0, le=1)]
     validation: Annotated[int, Field(ge=10)]
 

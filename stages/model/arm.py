@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
-
-PositiveFloat = Annotated[float, Field(gt=0)]
+from pydantic import Field, PositiveFloat
 
 
 @dataclass(frozen=True)

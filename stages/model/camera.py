@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.metadata import MAX_FPS
@@ -56,10 +56,10 @@ class Camera:
 
     width: Annotated[int, Field(ge=16)]
     height: Annotated[int, Field(ge=16)]
-    px_per_m: Annotated[float, Field(gt=0)]
+    px_per_m: PositiveFloat
     origin_px: tuple[float, float]
     fps: Annotated[float, Field(gt=0, le=MAX_FPS)]
-    exposure: Annotated[float, Field(ge=0)] = 0.0
+    exposure: NonNegativeFloat = 0.0
     distortion: float = 0.0
     rotation: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
