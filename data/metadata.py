@@ -22,7 +22,7 @@ FORMAT_VERSION = 1  # key `format` of dataset.yaml
 DATASET_FILE = "dataset.yaml"
 MAX_WIDTH_PX = 2**20  # [px]: OpenCV reads no wider pictures
 MAX_VALUE_CHARACTERS = 200  # characters shown of a value
-MAX_FPS = 1e5  # [1/s]
+MAX_FPS = 1e5  # [1/s], as of a camera in the settings
 MAX_LENGTH_M = 1000.0  # [m]: longer than any string, even in millimetres
 
 

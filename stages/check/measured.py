@@ -100,7 +100,7 @@ class CheckedTrial:
         """Joint angles (K, J) [rad], or None if poses were measured."""
         if self.observation.arm is None:
             return None
-        return self.motion[list(JOINTS)]
+        return self.motion[list(JOINTS)].to_numpy()
 
     @cached_property
     def pose(self) -> np.ndarray:
@@ -108,12 +108,12 @@ class CheckedTrial:
         if self.joints is not None:
             assert self.arm is not None
             return self.arm.grasp_pose(self.joints)
-        return np.asarray(self.motion[["x", "y", "theta"]])
+        return self.motion[["x", "y", "theta"]].to_numpy()
 
     @cached_property
     def hand_t(self) -> np.ndarray:
         """Times of the hand's poses (K,) [s], by the arm's clock."""
-        return np.asarray(self.motion["t"])
+        return self.motion["t"].to_numpy()
 
     def hand_at(self, times: np.ndarray | float) -> np.ndarray:
         """Interpolate the place of the hand (..., 2) [m] at times (...) [s]."""

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.data.metadata import MAX_FPS
 from stringcast.stages.model.lens import Lens
 
 transform = LazyModule("scipy.spatial.transform")
@@ -58,7 +57,7 @@ class Camera:
     height: Annotated[int, Field(ge=16)]
     px_per_m: PositiveFloat
     origin_px: tuple[float, float]
-    fps: Annotated[float, Field(gt=0, le=MAX_FPS)]
+    fps: Annotated[float, Field(gt=0, le=1e5)]
     exposure: NonNegativeFloat = 0.0
     distortion: float = 0.0
     rotation: float = 0.0

@@ -62,7 +62,7 @@ class AbsentDevice:
     """A device that is not connected, or whose library is not installed."""
 
     def __init__(self, message, kind=HardwareError):
-        self.error = kind(message)
+        self.error = kind("", message)
 
     def __enter__(self):
         raise self.error
@@ -80,14 +80,14 @@ def test_all_device_faults_are_reported_before_planning(tmp_path, kind):
         return replace(experiment, stages={**experiment.stages, **lab})
 
     CALLS.clear()
-    with pytest.raises(HardwareError, match=r"no such port\nno such camera"):
+    with pytest.raises(HardwareError, match=r"no such port\.\nno such camera\."):
         toy_run(
             tmp_path / "run",
             with_lab(
                 AbsentDevice("no such port", kind), AbsentDevice("no such camera")
             ),
         )
-    with pytest.raises(HardwareError, match=r"^no such camera$"):
+    with pytest.raises(HardwareError, match=r"^no such camera\.$"):
         toy_run(
             tmp_path / "run", with_lab(nullcontext(), AbsentDevice("no such camera"))
         )

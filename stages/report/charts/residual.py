@@ -136,7 +136,7 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
 def _complex_residual(table: pd.DataFrame, model: str) -> np.ndarray:
     """Return measured minus simulated positions as x + iy [m], shape (n,)."""
     x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    return x + 1j * y
+    return (x + 1j * y).to_numpy()
 
 
 # --- over time
