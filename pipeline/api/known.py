@@ -195,7 +195,8 @@ def experiment_for_call(
         composed = OmegaConf.create(compose_settings(words) | given)
         names = given_names(words)
     except HydraException as error:
-        raise UserError("", explain_hydra_error(error)) from error
+        reason = explain_hydra_error(error)
+        raise UserError("", "the settings cannot be used", reason) from error
     config = composed.copy()
     for block, value in ({} if string is None else string.settings).items():
         OmegaConf.update(config, block, value, merge=True)
