@@ -11,6 +11,7 @@ from pydantic import Field
 
 from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.execute import (
+    RestSeconds,
     execute,
     film_motion,
     mark_invalid,
@@ -24,8 +25,8 @@ def dry_run(
     arm: ArmDevice,
     camera: CameraDevice,
     *,
-    before: Annotated[float, Field(ge=0, le=10)],
-    after: Annotated[float, Field(ge=0, le=10)],
+    before: RestSeconds,
+    after: RestSeconds,
 ) -> Trial:
     """Make a dry run with the arm disabled.
 
@@ -68,8 +69,8 @@ def slow_run(
     arm: ArmDevice,
     camera: CameraDevice,
     *,
-    before: Annotated[float, Field(ge=0, le=10)],
-    after: Annotated[float, Field(ge=0, le=10)],
+    before: RestSeconds,
+    after: RestSeconds,
     share: Annotated[float, Field(gt=0, lt=1)],
 ) -> Trial:
     """Make a slow run along the same path.

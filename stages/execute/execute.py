@@ -13,6 +13,7 @@ from stringcast.data.artifacts import JOINTS, SPEEDS, Motion, Trial
 from stringcast.stages.execute.interfaces import ArmDevice, CameraDevice, HardwareError
 from stringcast.stages.spec import StageCall
 
+RestSeconds = Annotated[float, Field(ge=0, le=10)]
 ROUNDING_S = 1e-9  # rounding error of frame times
 
 
@@ -27,8 +28,8 @@ def execute(
     arm: ArmDevice,
     camera: CameraDevice,
     *,
-    before: Annotated[float, Field(ge=0, le=10)],
-    after: Annotated[float, Field(ge=0, le=10)],
+    before: RestSeconds,
+    after: RestSeconds,
 ) -> Trial:
     """Perform a motion and record the trial.
 
