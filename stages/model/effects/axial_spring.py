@@ -6,7 +6,6 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     is_odd,
-    vanishes_at_zero,
 )
 
 
@@ -30,7 +29,7 @@ class AxialSpring(StringEffect):
         ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_s"
-    invariants = (is_odd("tension", "stretch"), vanishes_at_zero("tension", "stretch"))
+    invariants = (is_odd("tension", "stretch"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -7,7 +7,6 @@ from stringcast.stages.model.effect import (
     Values,
     is_odd,
     resists,
-    vanishes_at_zero,
 )
 
 
@@ -30,7 +29,6 @@ class GraspDamper(StringEffect):
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_phc"
     invariants = (
         is_odd("grasp_moment", "rate"),
-        vanishes_at_zero("grasp_moment", "rate"),
         resists("grasp_moment"),
     )
 

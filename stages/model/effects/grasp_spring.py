@@ -6,7 +6,6 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     is_odd,
-    vanishes_at_zero,
 )
 
 
@@ -30,10 +29,7 @@ class GraspSpring(StringEffect):
         ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_ph"
-    invariants = (
-        is_odd("grasp_moment", "angle"),
-        vanishes_at_zero("grasp_moment", "angle"),
-    )
+    invariants = (is_odd("grasp_moment", "angle"),)
 
     @staticmethod
     def describe(values: Values) -> str:

@@ -7,7 +7,6 @@ from stringcast.stages.model.effect import (
     Values,
     is_odd,
     resists,
-    vanishes_at_zero,
 )
 
 
@@ -30,7 +29,6 @@ class HingeDamper(StringEffect):
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_h"
     invariants = (
         is_odd("moment", "rate"),
-        vanishes_at_zero("moment", "rate"),
         resists("moment"),
     )
 

@@ -6,7 +6,6 @@ from stringcast.stages.model.effect import (
     StringEffect,
     Values,
     is_odd,
-    vanishes_at_zero,
 )
 
 
@@ -30,10 +29,7 @@ class HingeSpring(StringEffect):
         ),
     )
     reference = "Tabata, Seki, Tsuji and Hitamitsu (2021), Table 1: F_b"
-    invariants = (
-        is_odd("moment", "curvature"),
-        vanishes_at_zero("moment", "curvature"),
-    )
+    invariants = (is_odd("moment", "curvature"),)
 
     @staticmethod
     def describe(values: Values) -> str:
