@@ -108,10 +108,9 @@ def explain_hydra_error(error: BaseException) -> str:
         remedy = unknown_setting_remedy(unknown[1])
         return f"{unknown[1]} (command line): there is no such setting. {remedy}"
 
-    lines = []
-    for line in text.splitlines():
-        if line.strip() and "provider" not in line:
-            lines.append(line)
+    lines = [
+        line for line in text.splitlines() if line.strip() and "provider" not in line
+    ]
     return "\n".join(lines).removesuffix("Config search path:").strip()
 
 

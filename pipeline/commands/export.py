@@ -141,7 +141,7 @@ def trials_of_run(run: Path, string: KnownString) -> tuple[Model, list[PreparedT
     """
     settings = read_stored_settings(run)
     given = settings.get("trials")
-    trials = read(given if given else run)
+    trials = read(given or run)
     experiment, data = prepare_trials(trials, ("+experiment=estimate",))
     # arm and camera of the trials
     arm, camera = experiment.model.arm, experiment.model.camera

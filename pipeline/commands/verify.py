@@ -137,10 +137,9 @@ def verify_run(
 def compare_dataset(verification: Verification, result: RunResult) -> None:
     """Compare the dataset of a run with the one made from its steps."""
     experiment, folder = verification.experiment, verification.folder
-    measured = []
-    for iteration in result.iterations:
-        if iteration.measurement_names:
-            measured.append(iteration)
+    measured = [
+        iteration for iteration in result.iterations if iteration.measurement_names
+    ]
     if experiment.config["trials"] is not None or not measured:
         return
     scratch = verification.scratch

@@ -55,9 +55,7 @@ def outcome_curve(
     axes.set_xlabel(setting_label(factor, units), fontsize=8)
     is_long = len(outcome.title) > MAX_LABEL_LENGTH
     axes.set_ylabel(outcome.title, fontsize=7 if is_long else 8)
-    texts = []
-    for row in means.to_dict("records"):
-        texts.append(f"{format_mean(row)} at {row[factor]}")
+    texts = [f"{format_mean(row)} at {row[factor]}" for row in means.to_dict("records")]
     words = f"{outcome.title} over {factor}: {', '.join(texts)}."
     return svg_picture(figure, words)
 
