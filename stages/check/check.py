@@ -91,7 +91,11 @@ def refuse_errors(dataset: CheckedDataset) -> None:
     findings = collect_findings(dataset)
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     if errors:
-        folder = dataset.data.folder
+        worst, folder = errors[0], dataset.data.folder
         more = f"{len(errors) - 1} more" if len(errors) > 1 else "All findings"
         command = f"python -m pipeline check {shlex.quote(str(folder))}"
-        raise DataError(folder, errors[0].sentence, f"{more}: {command}")
+        raise DataError(
+            folder,
+            f"{worst.place}: {worst.statement}",
+            f"{worst.advice} {more}: {command}",
+        )

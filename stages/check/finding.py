@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
+from stringcast.data.errors import ExpectedError
+
 MAX_NAMED_TRIALS = 4  # in a sentence
 
 
@@ -37,19 +39,26 @@ class Finding:
     trials: tuple[str, ...] = ()
 
     @property
-    def sentence(self) -> str:
-        """The finding in one line, with the names of a few trials."""
+    def place(self) -> str:
+        """File and field, with the names of a few trials."""
         place = " ".join(filter(None, (self.file, self.field)))
         if self.trials:
             names = ", ".join(self.trials[:MAX_NAMED_TRIALS])
             more = len(self.trials) - MAX_NAMED_TRIALS
             others = f" and {more} more" if more > 0 else ""
             place += f" (trial {names}{others})"
-        sentence = f"{place}: " if place else ""
-        sentence += f"{self.statement}."
-        if self.remedy:
-            sentence += f" {self.remedy}{full_stop(self.remedy)}"
-        return sentence
+        return place
+
+    @property
+    def advice(self) -> str:
+        """The remedy as a sentence; a command to be pasted has no full stop."""
+        ends_in_command = re.search(r": (python|rm|printf) \S", self.remedy)
+        return self.remedy if ends_in_command or not self.remedy else f"{self.remedy}."
+
+    @property
+    def sentence(self) -> str:
+        """The finding in one line."""
+        return str(ExpectedError(self.place, self.statement, self.advice))
 
 
 def error(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
@@ -67,8 +76,3 @@ def warning(
 def note(file: str, field: str, statement: str, remedy: str, *trials: str) -> Finding:
     """Return a finding that needs no action."""
     return Finding(Severity.NOTE, file, field, statement, remedy, trials)
-
-
-def full_stop(remedy: str) -> str:
-    """Return the full stop after a remedy; none after a command to be pasted."""
-    return "" if re.search(r": (python|rm|printf) \S", remedy) else "."
