@@ -17,17 +17,15 @@ PLANNED_WITH = []  # earlier motion and estimate of each plan
 
 
 def excite(model, obstacles, *, seed, progress):
-    motion = STAGES["generate"](
-        model, None, obstacles, None, None, seed=seed, progress=progress
-    )
+    task = (model, None, obstacles, None, None)
+    motion = STAGES["generate"](*task, seed=seed, progress=progress)
     return replace(motion, control_points=CONTROL_POINTS.empty())
 
 
-def generate(model, target, obstacles, motion, estimate, *, seed, progress):
+def generate(*given, **how):
+    _, _, _, motion, estimate = given
     PLANNED_WITH.append((motion, estimate))
-    return STAGES["generate"](
-        model, target, obstacles, motion, estimate, seed=seed, progress=progress
-    )
+    return STAGES["generate"](*given, **how)
 
 
 def looking(casts=2, **stages):

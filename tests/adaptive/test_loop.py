@@ -74,11 +74,9 @@ def test_a_cast_is_planned_with_the_explanation_of_earlier_casts(whole):
     assert EARLIER[1].values() == first.values()
     planned_with = []
 
-    def generate(model, target, obstacles, motion, estimate, *, seed, progress):
-        planned_with.append(estimate)
-        return STAGES["generate"](
-            model, target, obstacles, motion, estimate, seed=seed, progress=progress
-        )
+    def generate(*given, **how):
+        planned_with.append(given[-1])  # the estimate
+        return STAGES["generate"](*given, **how)
 
     folder = whole.with_name("again")
     toy_run(folder, adaptive(generate=generate))
@@ -87,12 +85,10 @@ def test_a_cast_is_planned_with_the_explanation_of_earlier_casts(whole):
 
 
 def test_a_run_killed_before_the_next_cast_resumes_identically(whole, tmp_path):
-    def struck(model, target, obstacles, motion, estimate, *, seed, progress):
-        if estimate is not None:
+    def struck(*given, **how):
+        if given[-1] is not None:  # the estimate
             raise Killed
-        return STAGES["generate"](
-            model, target, obstacles, motion, estimate, seed=seed, progress=progress
-        )
+        return STAGES["generate"](*given, **how)
 
     folder = tmp_path / "run"
     with pytest.raises(Killed):

@@ -10,24 +10,18 @@ from stringcast.data.artifacts import MASKS, READINGS, Observation
 from stringcast.pipeline.settings.composition import UserError
 from stringcast.pipeline.settings.model_settings import add_effects
 from stringcast.stages.estimate import least_squares
-from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.generate import MotionRanges, SearchBudget, generate
 from stringcast.stages.inference.prepared_trial import prepare_trial
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion, resample_joint_motion
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model
-from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target
 from stringcast.stages.plugins import PLUGINS_VARIABLE
-from tests.conftest import TRUTH as ORDINARY
+from tests.estimation.test_estimate import MATCHING, STRING, TRUTH
 from tests.observations import grasp_table, observe_points
 from tests.tether import TETHER
 
-MATCHING = Matching(20, 2, 3.0, 0.25)
-# implicit steps allow large time steps
-STRING = String(0.3, integrator=ImplicitLeapfrog(), largest_step=1e-3)
 T = np.arange(0, 0.7, 0.005)
 POSE = np.stack(
     [
@@ -37,13 +31,6 @@ POSE = np.stack(
     ],
     -1,
 )
-TRUTH = ORDINARY | {
-    "axial_stiffness": 9e4,
-    "bending_stiffness": 2.0,
-    "bending_damping": 0.02,
-    "linear_drag": 0.4,
-    "grasp_stiffness": 1.0,
-}
 
 
 def simulate_swing(model, size, noise=7e-4):
