@@ -105,7 +105,7 @@ def add_sensor_noise(
     """Add the sensor's noise to a frame and round it, uint8."""
     noise = rng.standard_normal(frame.shape, dtype=np.float32)
     grey = np.rint(frame + look.noise * noise)
-    return np.asarray(np.clip(grey, 0, 255), np.uint8)
+    return np.clip(grey, 0, 255).astype(np.uint8)
 
 
 def _draw_lines(

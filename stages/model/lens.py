@@ -85,4 +85,4 @@ class Lens:
         rays = cv2.undistortPoints(
             flat, self.matrix, distortion, None, None, None, stop
         )
-        return np.asarray(rays).reshape(np.shape(pixels))
+        return rays.reshape(np.shape(pixels))

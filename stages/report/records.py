@@ -72,7 +72,7 @@ class CastRecord:
     @cached_property
     def frame_times(self) -> np.ndarray:
         """Times of the frames [s], shape (F,)."""
-        return np.asarray(self.trial.frames["t"])
+        return self.trial.frames["t"].to_numpy()
 
     @property
     def is_valid(self) -> bool:

@@ -180,7 +180,7 @@ def _view_picture(
 ) -> Picture:
     """Draw a picture of the board with its corners, if it was used."""
     content = np.frombuffer(jpeg, np.uint8)
-    image = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))
+    image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
     rows, columns = image.shape
     figure = Drawing(figsize=(VIEW_WIDTH_IN, VIEW_WIDTH_IN * rows / columns))
     figure.set_layout_engine("none")
