@@ -91,7 +91,7 @@ def keep_results(
         stored = store.find(key)
         if stored is not None:
             found: Any = stored[0] if len(stored) == 1 else stored
-            return found  # type: ignore[no-any-return]
+            return found
         result = function(*arguments, **named)
         store.keep(key, result if isinstance(result, tuple) else (result,))
         return result
