@@ -311,9 +311,10 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     monkeypatch.setattr(confirmation, "Hypothesis", lambda base: fit_with().hypothesis)
     for module in (confirmation, rules):
         monkeypatch.setattr(module, "tip_shift_rms", shift_m)
-    monkeypatch.setattr(
-        forward_selection, "unexplained_tip_rms", lambda *given: np.array([misfit_m])
-    )
+    for module in (forward_selection, rules):
+        monkeypatch.setattr(
+            module, "unexplained_tip_rms", lambda *given: np.array([misfit_m])
+        )
     state = SelectionState(SimpleNamespace(data=None), fit_with())
     *_, state = forward_selection.select_causes(state, (), CRITERIA, 0, 2)
     assert state.fit.hypothesis.cause_names == found
@@ -321,6 +322,46 @@ def test_a_small_cause_does_not_hide_a_larger_one(
     small = "small: it moves the tip by 1.3 mm, less than the tolerance"
     unconfirmed = {"angle": reason} if reason else {}
     assert state.set_aside == {"offset": small} | unconfirmed
+
+
+@pytest.mark.parametrize("is_at_end", [True, False])
+def test_the_search_goes_on_without_a_cause_at_the_end_of_its_range(
+    is_at_end, monkeypatch
+):
+    """A wind of 5 m/s stood in for the set of a strip, and was dropped."""
+    wind, rest = SimpleNamespace(name="wind"), SimpleNamespace(name="set")
+
+    def compare(prepared, parent, effects, criteria, seed):
+        if parent.hypothesis.causes:
+            return SelectionStep(None, parent, (), ())
+        best = fit_with(effects[0])
+        return SelectionStep(None, parent, (), (best,), accepted=True)
+
+    def drop(state, criteria, candidates):
+        if wind not in state.fit.hypothesis.causes:
+            return state
+        reason = confirmation.AT_RANGE_END if is_at_end else "not confirmed"
+        return replace(state, fit=fit_with(), set_aside={"wind": reason})
+
+    def add(state, best, *given):
+        return replace(state, fit=best)
+
+    def keep(state, *given):
+        return state
+
+    monkeypatch.setattr(forward_selection, "compare_candidates", compare)
+    monkeypatch.setattr(forward_selection, "drop_unconfirmed_causes", drop)
+    monkeypatch.setattr(forward_selection, "add_cause", add)
+    monkeypatch.setattr(forward_selection, "exchange_two_causes", keep)
+    monkeypatch.setattr(forward_selection, "drop_redundant_causes", keep)
+    monkeypatch.setattr(forward_selection, "evaluate_fit", lambda *given: fit_with())
+    monkeypatch.setattr(
+        forward_selection, "_is_evident_but_small", lambda *given: False
+    )
+    state = SelectionState(SimpleNamespace(data=None), fit_with())
+    *_, state = forward_selection.select_causes(state, (wind, rest), CRITERIA, 0, 2)
+    assert state.fit.hypothesis.cause_names == (("set",) if is_at_end else ())
+    assert [*state.set_aside] == ["wind"]
 
 
 def test_an_added_cause_is_no_longer_set_aside(monkeypatch):

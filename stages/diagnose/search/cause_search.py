@@ -154,7 +154,8 @@ def _select_causes(
         reached.state, reached.effects, criteria, settings.seed, settings.starts
     )
     for number, state in enumerate(states, 1):
-        settings.progress(0.3 + 0.5 * number / (criteria.max_causes + 1))
+        share = min(1.0, number / (criteria.max_causes + 1))
+        settings.progress(0.3 + 0.5 * share)
         yield reached._replace(state=state)
 
 

@@ -38,6 +38,7 @@ from stringcast.stages.model.effect import Effect
 
 log = logging.getLogger(__name__)
 
+AT_RANGE_END = "it is at the end of its range, probably a stand-in for another cause"
 TOO_FEW_TRIALS = "two trials are too few to confirm it, and misfit remains"
 
 
@@ -154,7 +155,7 @@ def _reason_to_set_aside(
     data = state.prepared.data
     fit = state.fit
     if not is_inside_range(fit, cause):
-        return "it is at the end of its range, probably a stand-in for another cause"
+        return AT_RANGE_END
     if len(data.trials) < 2:
         return ""
     # No other trial can confirm a cause that acts in one trial only

@@ -8,7 +8,7 @@ Stephens, J. R. Stat. Soc. B 82, 1273, 2020). The rules are in `rules`.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from stringcast.stages.diagnose.rules import (
 from stringcast.stages.diagnose.search.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.search.cause_exchange import exchange_two_causes
 from stringcast.stages.diagnose.search.confirmation import (
+    AT_RANGE_END,
     drop_unconfirmed_causes,
     reason_if_small,
 )
@@ -49,6 +50,9 @@ def select_causes(
 ) -> Iterator[SelectionState]:
     """Add one cause at a time to a state while the evidence supports it.
 
+    Causes that ended at an end of their ranges stood in for others. So the selection
+    goes on without them, unless a rival has taken their place.
+
     Parameters
     ----------
     state : SelectionState
@@ -68,6 +72,26 @@ def select_causes(
         The state after each cause, and finally the state without causes that left-out
         trials do not confirm.
     """
+    while True:
+        state = yield from _add_causes(state, effects, criteria, seed, starts)
+        confirmed = drop_unconfirmed_causes(state, criteria, len(effects))
+        stand_ins = _dropped_stand_ins(state, confirmed)
+        if not stand_ins:
+            break
+        log.info("searching again without %s", ", ".join(c.name for c in stand_ins))
+        effects = [effect for effect in effects if effect not in stand_ins]
+        state = confirmed
+    yield confirmed
+
+
+def _add_causes(
+    state: SelectionState,
+    effects: Sequence[type[Effect]],
+    criteria: Criteria,
+    seed: int,
+    starts: int,
+) -> Generator[SelectionState, None, SelectionState]:
+    """Add one cause at a time, yield the state after each, and return the last."""
     for number in range(len(state.nameable_causes), criteria.max_causes):
         rng = np.random.default_rng([seed, number])
         state = _add_step(state, effects, criteria, seed)
@@ -88,7 +112,19 @@ def select_causes(
         if state.fit.hypothesis.causes == before:
             break  # the new cause was redundant and would be found again
         yield state
-    yield drop_unconfirmed_causes(state, criteria, len(effects))
+    return state
+
+
+def _dropped_stand_ins(
+    state: SelectionState, confirmed: SelectionState
+) -> list[type[Effect]]:
+    """Find causes that were dropped at an end of their ranges and not replaced."""
+    dropped = []
+    for cause in state.fit.hypothesis.causes:
+        reason = confirmed.set_aside.get(cause.name)
+        if reason == AT_RANGE_END and cause not in confirmed.replaced:
+            dropped.append(cause)
+    return dropped
 
 
 def _add_step(
