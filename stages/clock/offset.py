@@ -43,8 +43,8 @@ from stringcast.stages.diagnose.clocks.clock_offsets import (
     STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
     Interval,
+    clock_background,
     clock_posterior,
-    effect_responses,
     explains_more,
     fit_separate_offsets,
     refit_with_one_offset,
@@ -53,7 +53,10 @@ from stringcast.stages.diagnose.clocks.clock_offsets import (
     time_slopes,
     trials_differ,
 )
-from stringcast.stages.diagnose.evidence.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
+    BackgroundPosterior,
+)
 from stringcast.stages.diagnose.trials.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.model import Model
@@ -205,7 +208,7 @@ def _separate_offsets_near(
     if not explains_more(separate, refitted):
         return None
     by_trial = _offset_of_each_trial(trials, window.middle + own.mean, own)
-    drift, _ = _estimate_drift(separate, effect_responses(separate))
+    drift, _ = _estimate_drift(separate, clock_background(separate))
     table = _profile_table(trials[0], window, profile)
     count = len(trials)
     offset = ClockOffset(by_trial, False, drift, table)
@@ -252,7 +255,7 @@ def _estimate_separate_offsets(
     shifted = shift_observations([trial.observation for trial in trials], alone)
     part = partial_progress(progress, len(trials), len(trials) + 1)
     joint_fits = fits_with_causes(fit_clock(model, shifted, EDGE_S, rng, part))
-    backgrounds = [effect_responses(clock) for clock in joint_fits]
+    backgrounds = [clock_background(clock) for clock in joint_fits]
     posterior = _average_posterior(joint_fits, backgrounds, slopes_by_offset)
     values_s = np.array([*alone.values()]) + posterior.mean
     by_trial = _offset_of_each_trial(trials, values_s, posterior)
@@ -271,7 +274,7 @@ def _describe_common(
     """Describe the common offset of likely fits to all trials, the best first."""
     frame_s = _longest_frame_interval_s(trials)
     floor = STAMP_UNCERTAINTY_FRAMES * frame_s
-    backgrounds = [effect_responses(clock) for clock in likely_fits]
+    backgrounds = [clock_background(clock) for clock in likely_fits]
     own = _average_posterior(likely_fits, backgrounds, slopes_by_offset)
     scatter_s = scatter_of_trials(own)
     interval, drift = _common_offset(
@@ -320,7 +323,7 @@ def _profile_table(
 
 def _common_offset(
     likely_fits: Sequence[ClockFit],
-    backgrounds: Sequence[ByTrial],
+    backgrounds: Sequence[Background],
     added: float,
     floor: float,
     scatter_s: float,
@@ -425,7 +428,7 @@ def _slopes_by_one_offset(clock: ClockFit) -> ByTrial:
 
 def _average_posterior(
     likely_fits: Sequence[ClockFit],
-    backgrounds: Sequence[ByTrial],
+    backgrounds: Sequence[Background],
     columns: Callable[[ClockFit], ByTrial],
 ) -> BackgroundPosterior:
     """Compute the posterior of offsets without a prior, averaged over fits.
@@ -442,7 +445,7 @@ def _average_posterior(
 
 
 def _estimate_drift(
-    clock: ClockFit, background: ByTrial
+    clock: ClockFit, background: Background
 ) -> tuple[Interval | None, BackgroundPosterior]:
     """Return the drift within trials, if it is detected, and the posterior with it.
 

@@ -11,7 +11,8 @@ rule                       passes if
                            trials if it would replace an accepted cause; if not, it
                            can only be indistinguishable from the best
 `has_evidence`             its Bayes factor is at least 1/alpha
-`moves_tip_enough`         it moves the tip of a trial by `tip_tolerance_m`
+`is_large_enough`          it moves the tip of a trial by `tip_tolerance_m`, or brings
+                           the misfit from above that to below
 `explains_its_only_trial`  it touches the string in a single trial, and removes
                            `min_explained_fraction` of the misfit there
 `survives_leave_one_out`   its Bayes factor exceeds 1/alpha without the trial that
@@ -193,15 +194,23 @@ def has_evidence(parent: Fit, fit: Fit, criteria: Criteria) -> bool:
     return fit.log_evidence - parent.log_evidence >= criteria.min_log_bayes_factor
 
 
-def moves_tip_enough(
+def is_large_enough(
     data: TrialData,
     parent: Fit,
     fit: Fit,
     criteria: Criteria,
 ) -> bool:
-    """Whether the tip of some trial differs enough between a fit and its parent."""
-    shift = tip_shift_rms(data, parent, fit)
-    return bool(shift.max() >= criteria.tip_tolerance_m)
+    """Whether the last cause of a fit is worth reporting.
+
+    It moves the tip of a trial by the tolerance, or it moves it by less and thereby
+    brings a misfit above the tolerance below it.
+    """
+    tolerance_m = criteria.tip_tolerance_m
+    if tip_shift_rms(data, parent, fit).max() >= tolerance_m:
+        return True
+    before_m = unexplained_tip_rms(data, parent).max()
+    after_m = unexplained_tip_rms(data, fit).max()
+    return bool(before_m > tolerance_m >= after_m)
 
 
 def explains_its_only_trial(
@@ -235,7 +244,7 @@ def survives_leave_one_out(
 
 def is_supported(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> bool:
     """Whether the last cause of a fit is accepted."""
-    return moves_tip_enough(data, parent, fit, criteria) and is_evident(
+    return is_large_enough(data, parent, fit, criteria) and is_evident(
         data, parent, fit, criteria
     )
 

@@ -10,7 +10,10 @@ import numpy as np
 
 from stringcast.stages.common import MM_PER_M, readable_name
 from stringcast.stages.diagnose.clocks.clock_offsets import Interval
-from stringcast.stages.diagnose.evidence.background_effects import background_responses
+from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
+    find_background,
+)
 from stringcast.stages.diagnose.evidence.measures import (
     mean_explained_fraction,
     refit,
@@ -41,7 +44,7 @@ from stringcast.stages.inference.laplace import (
     Fit,
     sample_discrepancy_tip_rms,
 )
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
 
 RESOLUTION = "resolution"  # name of the cause if the configured mesh is too coarse
@@ -173,8 +176,8 @@ class Judgement:
         Posteriors of the slot of each accepted cause.
     base_fit : Fit
         The base model's fit to the same data.
-    background : sequence of numpy.ndarray
-        Responses to other effects (`background_responses`).
+    background : Background
+        Small amounts of other effects.
     interrupted : bool
         Whether the search was ended early.
     trial_clocks : dict or None
@@ -185,7 +188,7 @@ class Judgement:
     numbers: VerdictNumbers
     posteriors: tuple[SingleEffectPosterior, ...]
     base_fit: Fit
-    background: ByTrial
+    background: Background
     interrupted: bool = False
     trial_clocks: Mapping[str, Interval] | None = None
 
@@ -292,7 +295,7 @@ def judge_interrupted_search(
     """Report the causes that an interrupted search had found, without naming them."""
     data = state.prepared.data
     fit = state.fit
-    background = background_responses(data, fit, effects)
+    background = find_background(data, fit, effects, criteria.tip_tolerance_m)
     weights = bootstrap_weights(len(data.trials), seed)
     step_of = {}
     for step in state.steps:
@@ -306,7 +309,7 @@ def judge_interrupted_search(
                 background,
                 weights,
                 len(effects),
-                criteria.tip_tolerance_m,
+                criteria,
             )
             posteriors.append(posterior)
     probability = misfit_probability(data, fit, criteria, seed)

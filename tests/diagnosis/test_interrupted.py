@@ -33,7 +33,7 @@ def test_a_cause_that_was_dropped_is_not_reported(monkeypatch):
         weighed.append(step)
         return SingleEffectPosterior({"b": 0.9, "": 0.1}, {}, None, None)
 
-    monkeypatch.setattr(verdict, "background_responses", lambda *given: ())
+    monkeypatch.setattr(verdict, "find_background", lambda *given: ())
     base_fit = SimpleNamespace(log_evidence=0.0)
     monkeypatch.setattr(verdict, "refit", lambda *given: base_fit)
     monkeypatch.setattr(verdict, "Hypothesis", lambda base: None)

@@ -8,9 +8,10 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 from synthetic_trials import CRITERIA
 
+from stringcast.stages.diagnose import rules
 from stringcast.stages.diagnose.evidence import agreement, posteriors, single_effect
 from stringcast.stages.diagnose.evidence.background_effects import (
-    BACKGROUND_SCALES_M,
+    Background,
     background_log_evidence_gains,
 )
 from stringcast.stages.diagnose.evidence.single_effect import SingleEffectPosterior
@@ -19,7 +20,10 @@ from stringcast.stages.diagnose.search import selection_state
 from stringcast.stages.diagnose.search.selection_state import SelectionState
 from stringcast.stages.diagnose.search.selection_step import SelectionStep
 from stringcast.stages.diagnose.trials.prepared_data import RefinedFit
-from stringcast.stages.inference.discrepancy_grid import log_scale_prior
+from stringcast.stages.inference.discrepancy_grid import (
+    DISCREPANCY_SCALES_M,
+    log_scale_prior,
+)
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 
 
@@ -60,11 +64,11 @@ def test_the_evidence_with_background_is_that_of_a_dense_covariance(weights):
         covariance = np.eye(40) + a.T @ a / PRIOR_PRECISION + size**2 * s.T @ s
         return float(multivariate_normal(np.zeros(40), covariance).logpdf(r))
 
-    by_size = np.array([log_density(size) for size in BACKGROUND_SCALES_M])
-    expected = logsumexp(
-        by_size + log_scale_prior()[: len(BACKGROUND_SCALES_M)]
-    ) - log_density(0.0)
-    gain = background_log_evidence_gains(Scaled(), fit, small, np.array([weights]))
+    scales_m = DISCREPANCY_SCALES_M[:9]
+    by_size = np.array([log_density(size) for size in scales_m])
+    expected = logsumexp(by_size + log_scale_prior()[:9]) - log_density(0.0)
+    background = Background(small, scales_m)
+    gain = background_log_evidence_gains(Scaled(), fit, background, np.array([weights]))
     assert gain == pytest.approx([expected], abs=1e-6)
 
 
@@ -89,8 +93,8 @@ def swap(monkeypatch, by_fit, fit):
     )
     monkeypatch.setattr(
         posteriors,
-        "background_responses",
-        lambda data, fit, effects: f"small at {fit.name}",
+        "find_background",
+        lambda data, fit, effects, max_scale_m: f"small at {fit.name}",
     )
     monkeypatch.setattr(
         posteriors,
@@ -236,12 +240,13 @@ def posterior_of_slot(
         "background_log_evidence_gains",
         lambda data, fit, small, weights: np.zeros(len(weights)),
     )
-    monkeypatch.setattr(
-        single_effect,
-        "tip_shift_rms",
-        lambda data, one, fit: np.full(4, 0.0 if one is fit else difference_m),
-    )
-    monkeypatch.setattr(single_effect, "unexplained_tip_rms", lambda *_: np.ones(4))
+
+    def shift_m(data, one, fit):
+        return np.full(4, 0.0 if one is fit else difference_m)
+
+    for module in (rules, single_effect):
+        monkeypatch.setattr(module, "tip_shift_rms", shift_m)
+        monkeypatch.setattr(module, "unexplained_tip_rms", lambda *_: np.ones(4))
 
     def slot(name, log_evidence, by_trial, error):
         return SimpleNamespace(
@@ -259,7 +264,7 @@ def posterior_of_slot(
     rng = np.random.default_rng(0)
     weights = 4 * rng.dirichlet(np.ones(4), single_effect.BOOTSTRAP_SAMPLES)
     step = SelectionStep(None, parent, (), resolved, unresolved=unresolved)
-    return single_effect.single_effect_posterior(step, (), weights, 20, 1e-3)
+    return single_effect.single_effect_posterior(step, (), weights, 20, CRITERIA)
 
 
 @pytest.mark.parametrize(("difference_m", "share"), [(0.9, 0.5), (1.1, 0.0)])

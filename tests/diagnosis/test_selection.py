@@ -252,7 +252,7 @@ def test_an_evident_cause_below_the_tolerance_is_set_aside(
 ):
     shift = np.array([0.0, shift_m])
     monkeypatch.setattr(confirmation, "tip_shift_rms", lambda *_: shift)
-    monkeypatch.setattr(confirmation, "moves_tip_enough", lambda *_: shift_m > 2e-3)
+    monkeypatch.setattr(confirmation, "is_large_enough", lambda *_: shift_m > 2e-3)
     parent = SimpleNamespace(log_evidence=0.0)
     hypothesis = SimpleNamespace(cause_names=("wind",))
     best = SimpleNamespace(log_evidence=evidence, hypothesis=hypothesis)

@@ -18,8 +18,9 @@ from scipy.special import chdtrc
 
 from stringcast.stages.common import MS_PER_S, NORMAL_95, rms
 from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
     BackgroundPosterior,
-    background_responses,
+    find_background,
     posterior_of_steps,
 )
 from stringcast.stages.diagnose.evidence.measures import (
@@ -28,7 +29,6 @@ from stringcast.stages.diagnose.evidence.measures import (
 )
 from stringcast.stages.diagnose.search.proposals import candidate_effects
 from stringcast.stages.diagnose.settings import INTERVAL_WIDENING
-from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.laplace import Fit, fit_hypothesis
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.trial_data import ByTrial, TrialData
@@ -42,7 +42,6 @@ MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
 STAMP_UNCERTAINTY_FRAMES = 0.1
 SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
 MAX_SCALE_M = 0.1  # of the tip displacement by effects
-SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
 MAX_STEPS = 6  # of separate offsets
 
 
@@ -154,7 +153,7 @@ def posterior_of_trials(clock: ClockFit, precision: float) -> BackgroundPosterio
     """
     columns = slopes_by_offset(clock)
     precisions = np.full(len(clock.data.trials), precision)
-    return clock_posterior(clock, effect_responses(clock), columns, precisions)
+    return clock_posterior(clock, clock_background(clock), columns, precisions)
 
 
 def fit_separate_offsets(
@@ -203,13 +202,13 @@ def _refit_with_shifts(clock: ClockFit, shifts_s: np.ndarray) -> ClockFit:
     return ClockFit(data, refitted)
 
 
-def effect_responses(clock: ClockFit) -> ByTrial:
-    """Return the response of each trial to each effect of the library, (E, 2 n)."""
+def clock_background(clock: ClockFit) -> Background:
+    """Find the background of all effects of the library at a clock fit."""
     model = clock.fit.hypothesis.model
     effects = candidate_effects(
         model, effects_by_name(), clock.data.trials, CLOCK_EFFECTS
     )
-    return background_responses(clock.data, clock.fit, effects)
+    return find_background(clock.data, clock.fit, effects, MAX_SCALE_M)
 
 
 def time_slopes(clock: ClockFit) -> ByTrial:
@@ -221,7 +220,10 @@ def time_slopes(clock: ClockFit) -> ByTrial:
 
 
 def clock_posterior(
-    clock: ClockFit, background: ByTrial, clock_columns: ByTrial, precision: np.ndarray
+    clock: ClockFit,
+    background: Background,
+    clock_columns: ByTrial,
+    precision: np.ndarray,
 ) -> BackgroundPosterior:
     """Compute the posterior of clock parameters relative to the fit.
 
@@ -229,8 +231,8 @@ def clock_posterior(
     ----------
     clock : ClockFit
         The fit; the clock columns replace its offset.
-    background : sequence of numpy.ndarray, shape (E, 2 n)
-        Displacements of each trial over sigma by effects, per metre at the tip.
+    background : Background
+        Effects of up to MAX_SCALE_M.
     clock_columns : sequence of numpy.ndarray, shape (Q, 2 n)
         Derivatives of residuals by the clock parameters.
     precision : numpy.ndarray, shape (Q,)
@@ -248,7 +250,6 @@ def clock_posterior(
         slopes,
         np.concatenate([precision, string_precision]),
         background,
-        SCALES_M,
     )
     count = len(precision)
     return BackgroundPosterior(steps.mean[:count], steps.covariance[:count, :count])

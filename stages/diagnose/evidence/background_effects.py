@@ -1,10 +1,10 @@
 """Evidence and intervals with a small amount of every effect in the background.
 
 No effect of the library is exactly absent. In addition to the causes of a hypothesis,
-every effect may move the tip by a normal deviate. Its small scale [m] is common to all
-effects and trials and estimated from the data (SuSiE-inf, a sparse sum and many small
-effects: Cui et al., Nature Genetics 56, 162, 2024). This is linearised at a fit, so
-that no further fit is needed.
+every effect may move the tip by a normal deviate. Its scale [m] is less than the
+tolerance, common to all effects and trials, and estimated from the data (SuSiE-inf, a
+sparse sum and many small effects: Cui et al., Nature Genetics 56, 162, 2024). This is
+linearised at a fit, so that no further fit is needed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,23 @@ from stringcast.stages.inference.trial_data import (
 )
 from stringcast.stages.model.effect import Effect, is_position_dependent
 
-# The smaller scales of the discrepancy, with the same prior
-BACKGROUND_SCALES_M = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < 2e-3]
 PROBE_FRACTION = 0.01  # size of a probe as a fraction of the range: about linear
+
+
+@dataclass(frozen=True)
+class Background:
+    """Small amounts of every effect.
+
+    Attributes
+    ----------
+    responses : sequence of numpy.ndarray, shape (E, 2 n)
+        Displacements of each trial over sigma, per metre at the tip.
+    scales_m : numpy.ndarray, shape (S,)
+        Possible scales: the first ones of DISCREPANCY_SCALES_M [m].
+    """
+
+    responses: ByTrial
+    scales_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -59,7 +73,18 @@ class BackgroundPosterior:
         return self.covariance / np.outer(deviation, deviation)
 
 
-def background_responses(
+def find_background(
+    data: TrialData,
+    fit: Fit,
+    effects: Sequence[type[Effect]],
+    max_scale_m: float,
+) -> Background:
+    """Find the background at a fit, of scales up to a largest one."""
+    scales_m = DISCREPANCY_SCALES_M[max_scale_m > DISCREPANCY_SCALES_M]
+    return Background(_responses(data, fit, effects), scales_m)
+
+
+def _responses(
     data: TrialData,
     fit: Fit,
     effects: Sequence[type[Effect]],
@@ -106,13 +131,11 @@ def _scale_to_one_metre(data: TrialData, changes: ByTrial) -> ByTrial:
 def posterior_with_background(
     data: TrialData,
     fit: Fit,
-    background: ByTrial,
+    background: Background,
 ) -> BackgroundPosterior:
     """Compute the posterior of a fit's exponents, averaged over background scales."""
     precision = np.full(len(fit.chi), PRIOR_PRECISION)
-    steps = posterior_of_steps(
-        data, fit, fit.slopes, precision, background, BACKGROUND_SCALES_M
-    )
+    steps = posterior_of_steps(data, fit, fit.slopes, precision, background)
     return replace(steps, mean=fit.chi + steps.mean)
 
 
@@ -121,8 +144,7 @@ def posterior_of_steps(
     fit: Fit,
     slopes: ByTrial,
     precision: np.ndarray,
-    background: ByTrial,
-    scales_m: np.ndarray,
+    background: Background,
 ) -> BackgroundPosterior:
     """Compute the posterior of steps of parameters from a fit, to first order.
 
@@ -132,13 +154,9 @@ def posterior_of_steps(
         Derivatives of each trial's residuals over sigma by the parameters.
     precision : numpy.ndarray, shape (P,)
         Precision of the steps' normal priors.
-    background : sequence of numpy.ndarray, shape (E, 2 n)
-        Responses to other effects (`background_responses`).
-    scales_m : numpy.ndarray, shape (S,)
-        Scales of the background: the first ones of DISCREPANCY_SCALES_M [m].
     """
     by_trial, gradient_by_trial = _normal_equations_by_trial(
-        data, fit, slopes, background
+        data, fit, slopes, background.responses
     )
     products = np.sum(by_trial, axis=0)
     gradient = np.sum(gradient_by_trial, axis=0)
@@ -146,13 +164,13 @@ def posterior_of_steps(
     log_evidence = []
     means = []
     covariances = []
-    for scale_m in scales_m:
+    for scale_m in background.scales_m:
         value, step, normal = _solve_at_scale(products, gradient, precision, scale_m)
         log_evidence.append(value)
         means.append(step[:count])
         covariances.append(np.linalg.inv(normal)[:count, :count])
 
-    log_weight = np.array(log_evidence) + log_scale_prior()[: len(scales_m)]
+    log_weight = np.array(log_evidence) + log_scale_prior()[: len(means)]
     return mix_normals(np.array(means), np.array(covariances), log_weight)
 
 
@@ -174,7 +192,7 @@ def mix_normals(
 def background_log_evidence_gains(
     data: TrialData,
     fit: Fit,
-    background: ByTrial,
+    background: Background,
     weights: np.ndarray,
 ) -> np.ndarray:
     """Gain of a fit's log evidence by the background, (D,).
@@ -185,18 +203,18 @@ def background_log_evidence_gains(
         Bootstrap weights of the trials.
     """
     by_trial, gradient_by_trial = _normal_equations_by_trial(
-        data, fit, fit.slopes, background
+        data, fit, fit.slopes, background.responses
     )
     products = np.tensordot(weights, by_trial, 1)
     gradient = weights @ gradient_by_trial
     # Also for amplitudes of causes, to keep the equations solvable
     precision = np.full(len(fit.chi), PRIOR_PRECISION)
     by_scale = []
-    for scale_m in BACKGROUND_SCALES_M:
+    for scale_m in background.scales_m:
         value, _, _ = _solve_at_scale(products, gradient, precision, scale_m)
         by_scale.append(value)
     log_evidence = np.array(by_scale)
-    log_prior = log_scale_prior()[: len(BACKGROUND_SCALES_M)]
+    log_prior = log_scale_prior()[: len(by_scale)]
     total = logsumexp(log_evidence + log_prior[:, None], axis=0)
     return np.asarray(total - log_evidence[0])
 
@@ -205,7 +223,7 @@ def _normal_equations_by_trial(
     data: TrialData,
     fit: Fit,
     slopes: ByTrial,
-    background: ByTrial,
+    responses: ByTrial,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute normal equations of parameters, then background, M in all.
 
@@ -218,7 +236,7 @@ def _normal_equations_by_trial(
     """
     data = data.for_hypothesis(fit.hypothesis)
     grid_points = fit.grid_points
-    pairs = zip(slopes, background, strict=True)
+    pairs = zip(slopes, responses, strict=True)
     rows = [np.concatenate(pair) for pair in pairs]
     residuals = [residual[None] for residual in fit.residuals]
     white_rows = data.whiten_by_trial(rows, grid_points)

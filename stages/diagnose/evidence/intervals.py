@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
     BackgroundPosterior,
     posterior_with_background,
 )
 from stringcast.stages.inference.laplace import Fit, hypothesis_likelihood
 from stringcast.stages.inference.likelihood import PRIOR_PRECISION
 from stringcast.stages.inference.profile import profile_reaches
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.kept_results import keep_results
 
 MIN_SHOWN_CORRELATION = 0.8
@@ -24,7 +25,7 @@ MIN_SHOWN_CORRELATION = 0.8
 def parameter_uncertainty(
     data: TrialData,
     fit: Fit,
-    background: ByTrial,
+    background: Background,
     half_width: float,
 ) -> dict[str, Any]:
     """Collect the intervals and large correlations of a fit's parameters.
@@ -33,8 +34,8 @@ def parameter_uncertainty(
     ----------
     data : TrialData
         The data of the fit.
-    background : sequence of numpy.ndarray
-        Responses to other effects (`background_responses`).
+    background : Background
+        Small amounts of other effects.
     half_width : float
         Half width of the intervals in standard deviations.
 

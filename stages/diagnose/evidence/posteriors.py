@@ -10,7 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from stringcast.stages.diagnose.evidence.agreement import probability_by_agreement
-from stringcast.stages.diagnose.evidence.background_effects import background_responses
+from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
+    find_background,
+)
 from stringcast.stages.diagnose.evidence.measures import distinct_fits, refit
 from stringcast.stages.diagnose.evidence.single_effect import (
     SingleEffectPosterior,
@@ -27,7 +30,6 @@ from stringcast.stages.diagnose.search.selection_state import SelectionState, wi
 from stringcast.stages.diagnose.search.selection_step import SelectionStep
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import Fit, evaluate_fit, fit_hypothesis
-from stringcast.stages.inference.trial_data import ByTrial
 from stringcast.stages.model.effect import Effect
 
 
@@ -37,14 +39,14 @@ class Posteriors:
 
     Attributes
     ----------
-    background : sequence of numpy.ndarray
-        Responses to other effects (`background_responses`).
+    background : Background
+        Small amounts of other effects.
     by_cause : tuple of SingleEffectPosterior
         Posteriors in the order of acceptance; one if nothing was accepted.
     """
 
     state: SelectionState
-    background: ByTrial
+    background: Background
     by_cause: tuple[SingleEffectPosterior, ...]
 
 
@@ -76,7 +78,7 @@ def swap_lookalikes_until_stable(
         The settled state with the posteriors of its slots.
     """
     for changes_left in reversed(range(len(state.fit.hypothesis.causes) + 1)):
-        background = background_responses(state.prepared.data, state.fit, effects)
+        background = _find_background(state, effects, criteria)
         by_cause = list[SingleEffectPosterior]()
         replacement = None
         for posterior in _single_effect_posteriors(
@@ -98,10 +100,16 @@ def swap_lookalikes_until_stable(
     by_cause.reverse()
     likeliest = with_most_probable_causes(state, by_cause)
     if replacement is not None or likeliest is not state:
-        background = background_responses(
-            likeliest.prepared.data, likeliest.fit, effects
-        )
+        background = _find_background(likeliest, effects, criteria)
     return Posteriors(likeliest, background, tuple(by_cause))
+
+
+def _find_background(
+    state: SelectionState, effects: Sequence[type[Effect]], criteria: Criteria
+) -> Background:
+    """Find the background at the fit of a state, of scales within the tolerance."""
+    data = state.prepared.data
+    return find_background(data, state.fit, effects, criteria.tip_tolerance_m)
 
 
 def _more_probable_fit(
@@ -150,7 +158,7 @@ def with_most_probable_causes(
 def _single_effect_posteriors(
     state: SelectionState,
     effects: Sequence[type[Effect]],
-    background: ByTrial,
+    background: Background,
     criteria: Criteria,
     seed: int,
 ) -> Iterator[SingleEffectPosterior]:
@@ -173,7 +181,7 @@ def _single_effect_posteriors(
             background,
             weights,
             len(effects),
-            criteria.tip_tolerance_m,
+            criteria,
         )
 
 

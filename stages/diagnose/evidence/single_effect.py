@@ -17,6 +17,7 @@ import numpy as np
 
 from stringcast.stages.common import rms
 from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
     background_log_evidence_gains,
 )
 from stringcast.stages.diagnose.evidence.measures import (
@@ -24,10 +25,15 @@ from stringcast.stages.diagnose.evidence.measures import (
     unexplained_tip_rms,
 )
 from stringcast.stages.diagnose.evidence.probabilities import effect_probabilities
-from stringcast.stages.diagnose.rules import is_inside_range, remainder_hides
+from stringcast.stages.diagnose.rules import (
+    Criteria,
+    is_inside_range,
+    is_large_enough,
+    remainder_hides,
+)
 from stringcast.stages.diagnose.search.selection_step import SelectionStep, by_evidence
 from stringcast.stages.inference.laplace import Fit, log_size_prior
-from stringcast.stages.inference.trial_data import ByTrial, TrialData
+from stringcast.stages.inference.trial_data import TrialData
 
 log = logging.getLogger(__name__)
 
@@ -93,16 +99,16 @@ def bootstrap_weights(trials: int, seed: int) -> np.ndarray:
 
 def single_effect_posterior(
     step: SelectionStep,
-    background: ByTrial,
+    background: Background,
     weights: np.ndarray,
     candidates: int,
-    min_tip_shift_m: float,
+    criteria: Criteria,
 ) -> SingleEffectPosterior:
     """Compute the probability of each candidate of a step, and of none.
 
     If there are fits on common data, only these compete. A cause at the end of its
     range does not compete, because it probably stands for another one. The probability
-    of effects below the smallest tip shift is added to that of none. Effects that
+    of effects that are too small is added to that of none. Effects that
     differ by less than the unexplained misfit share their probability in proportion to
     the prior of their sizes. So do those with which trials cannot be simulated well
     enough.
@@ -111,14 +117,14 @@ def single_effect_posterior(
     ----------
     step : SelectionStep
         Comparison of the candidates for this slot.
-    background : sequence of numpy.ndarray, shape (E, 2 n)
-        Responses to other effects (`background_responses`).
+    background : Background
+        Small amounts of other effects.
     weights : numpy.ndarray, shape (samples, K)
         Bootstrap weights of the trials.
     candidates : int
         Number of effects that share the prior probability of one being active.
-    min_tip_shift_m : float
-        Tip shift below which an effect counts as none [m].
+    criteria : Criteria
+        Its tolerance decides which effects are too small.
     """
     data = step.data
     fits = _fits_within_range(step.compared or step.fits)
@@ -135,7 +141,7 @@ def single_effect_posterior(
 
     # Small effects count as none
     for name, fit in fits.items():
-        if tip_shift_rms(data, step.parent, fit).max() < min_tip_shift_m:
+        if not is_large_enough(data, step.parent, fit, criteria):
             probabilities[""] += probabilities.pop(name)
 
     # Effects that cannot be distinguished share their probability

@@ -26,7 +26,7 @@ from stringcast.stages.diagnose.evidence.predictions import (
 from stringcast.stages.diagnose.rules import (
     Criteria,
     is_inside_range,
-    moves_tip_enough,
+    is_large_enough,
     predicts_heldout,
     trials_agree,
 )
@@ -226,7 +226,7 @@ def _are_predicted_better(
 
 def reason_if_small(data: TrialData, parent: Fit, fit: Fit, criteria: Criteria) -> str:
     """Return the reason why the last cause of a fit is small; empty if it is not."""
-    if moves_tip_enough(data, parent, fit, criteria):
+    if is_large_enough(data, parent, fit, criteria):
         return ""
     shift_mm = MM_PER_M * tip_shift_rms(data, parent, fit).max()
     return f"small: it moves the tip by {shift_mm:.1f} mm, less than the tolerance"

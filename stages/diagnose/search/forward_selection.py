@@ -19,7 +19,7 @@ from stringcast.stages.diagnose.rules import (
     Criteria,
     has_evidence,
     is_evident,
-    moves_tip_enough,
+    is_large_enough,
 )
 from stringcast.stages.diagnose.search.candidate_comparison import compare_candidates
 from stringcast.stages.diagnose.search.cause_exchange import exchange_two_causes
@@ -155,7 +155,7 @@ def _is_evident_but_small(state: SelectionState, criteria: Criteria) -> bool:
     """
     data = state.prepared.data
     step = state.steps[-1]
-    if step.best is None or moves_tip_enough(data, step.parent, step.best, criteria):
+    if step.best is None or is_large_enough(data, step.parent, step.best, criteria):
         return False
     if unexplained_tip_rms(data, step.best).max() < criteria.tip_tolerance_m:
         return False
