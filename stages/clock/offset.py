@@ -47,6 +47,7 @@ from stringcast.stages.diagnose.clocks.clock_offsets import (
     clock_posterior,
     explains_more,
     fit_separate_offsets,
+    offset_intervals,
     refit_with_one_offset,
     scatter_of_trials,
     slopes_by_offset,
@@ -207,25 +208,17 @@ def _separate_offsets_near(
     refitted = refit_with_one_offset(common, separate, float(np.median(own.mean)))
     if not explains_more(separate, refitted):
         return None
-    by_trial = _offset_of_each_trial(trials, window.middle + own.mean, own)
+    by_trial = offset_intervals(
+        [trial.name for trial in trials],
+        window.middle + own.mean,
+        own.standard_deviation,
+        frame_s,
+    )
     drift, _ = _estimate_drift(separate, clock_background(separate))
     table = _profile_table(trials[0], window, profile)
     count = len(trials)
     offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, [common] * count, [window] * count)
-
-
-def _offset_of_each_trial(
-    trials: Sequence[CheckedTrial], values_s: np.ndarray, own: BackgroundPosterior
-) -> dict[str, Interval]:
-    """Return the offset of each trial by its name, of values (K,) and a posterior."""
-    floor = STAMP_UNCERTAINTY_FRAMES * _longest_frame_interval_s(trials)
-    by_trial = {}
-    for trial, value, deviation in zip(
-        trials, values_s, own.standard_deviation, strict=True
-    ):
-        by_trial[trial.name] = Interval.from_deviation(value, deviation, floor)
-    return by_trial
 
 
 def _estimate_separate_offsets(
@@ -258,7 +251,12 @@ def _estimate_separate_offsets(
     backgrounds = [clock_background(clock) for clock in joint_fits]
     posterior = _average_posterior(joint_fits, backgrounds, slopes_by_offset)
     values_s = np.array([*alone.values()]) + posterior.mean
-    by_trial = _offset_of_each_trial(trials, values_s, posterior)
+    by_trial = offset_intervals(
+        list(alone),
+        values_s,
+        posterior.standard_deviation,
+        _longest_frame_interval_s(trials),
+    )
     drift, _ = _estimate_drift(joint_fits[0], backgrounds[0])
     table = _profile_table(trials[0], windows[0], profiles[0])
     offset = ClockOffset(by_trial, False, drift, table)

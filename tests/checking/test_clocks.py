@@ -44,6 +44,7 @@ from stringcast.stages.clock.windows import (
 )
 from stringcast.stages.diagnose.clocks import clock_offsets
 from stringcast.stages.diagnose.clocks.clock_offsets import (
+    MAX_SCALE_M,
     OFFSET,
     Interval,
     clock_posterior,
@@ -51,7 +52,11 @@ from stringcast.stages.diagnose.clocks.clock_offsets import (
     refit_with_one_offset,
     scatter_of_trials,
 )
-from stringcast.stages.diagnose.evidence.background_effects import BackgroundPosterior
+from stringcast.stages.diagnose.evidence.background_effects import (
+    Background,
+    BackgroundPosterior,
+)
+from stringcast.stages.inference.discrepancy_grid import DISCREPANCY_SCALES_M
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effects.tip_mass import TipMass
@@ -453,7 +458,7 @@ def test_clocks_of_real_cables_with_friction_and_a_set_are_not_refused(tmp_path,
     assert find_wrong_clock(model, observations, np.random.default_rng(0)) is None
 
 
-def linear_problem(background):
+def linear_problem(responses):
     """Return data and a fit of an offset, and responses to one further effect."""
     slope = np.array([[1.0, 1.0, 1.0, 1.0]])
     residual = np.array([0.5, 0.5, 0.5, 0.5])
@@ -467,7 +472,9 @@ def linear_problem(background):
         grid_points=[0],
     )
     clock = SimpleNamespace(data=data, fit=fit, index=0)
-    return clock_posterior(clock, [background], [slope], np.array([1e-6]))
+    scales_m = DISCREPANCY_SCALES_M[DISCREPANCY_SCALES_M < MAX_SCALE_M]
+    background = Background([responses], scales_m)
+    return clock_posterior(clock, background, [slope], np.array([1e-6]))
 
 
 def test_an_effect_like_the_offset_widens_its_interval():

@@ -8,6 +8,7 @@ unexplained misfit. This is linearised at the fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -200,6 +201,30 @@ def _refit_with_shifts(clock: ClockFit, shifts_s: np.ndarray) -> ClockFit:
     fit = clock.fit
     refitted = fit_hypothesis(data, fit.hypothesis, fit.chi[None], fit.grid_points)
     return ClockFit(data, refitted)
+
+
+def offset_intervals(
+    names: Sequence[str],
+    offsets_s: np.ndarray,
+    deviations_s: np.ndarray,
+    frame_s: float,
+) -> dict[str, Interval]:
+    """Return the interval of each trial's offset by its name.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the trials.
+    offsets_s, deviations_s : numpy.ndarray, shape (K,)
+        Offset of each trial, and its standard deviation [s].
+    frame_s : float
+        Time between frames [s], of which time stamps are uncertain by a share.
+    """
+    floor_s = STAMP_UNCERTAINTY_FRAMES * frame_s
+    by_trial = {}
+    for name, offset_s, deviation_s in zip(names, offsets_s, deviations_s, strict=True):
+        by_trial[name] = Interval.from_deviation(offset_s, deviation_s, floor_s)
+    return by_trial
 
 
 def clock_background(clock: ClockFit) -> Background:

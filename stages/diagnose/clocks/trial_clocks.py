@@ -11,11 +11,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from stringcast.stages.diagnose.clocks.clock_offsets import (
-    STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
     Interval,
     explains_more,
     fit_separate_offsets,
+    offset_intervals,
     posterior_of_trials,
     refit_with_one_offset,
     trials_differ,
@@ -60,13 +60,8 @@ def find_trial_clocks(data: TrialData, fit: Fit) -> Mapping[str, Interval] | Non
     common = refit_with_one_offset(common, separate, float(np.median(own.mean)))
     if not explains_more(separate, common):
         return None
-    floor_s = STAMP_UNCERTAINTY_FRAMES * frame_s
-    by_trial = {}
-    for k, trial in enumerate(data.trials):
-        deviation_s = own.standard_deviation[k]
-        interval = Interval.from_deviation(own.mean[k], deviation_s, floor_s)
-        by_trial[trial.name] = interval
-    return by_trial
+    names = [trial.name for trial in data.trials]
+    return offset_intervals(names, own.mean, own.standard_deviation, frame_s)
 
 
 def _with_offset(hypothesis: Hypothesis) -> Hypothesis:
