@@ -30,7 +30,7 @@ SPIKE_WINDOW_SAMPLES = 11  # window of the median deviation
 # motion does not.
 MIN_RETURN_FRACTION = 0.25
 # shared times: rows per distinct time, in trials of at least so many rows
-MIN_ROWS_PER_TIME = 2.0
+MIN_ROWS_PER_TIME = 1.5
 MIN_TIMED_ROWS = 5
 TURN_JUMP_RAD = 1.5 * np.pi  # larger steps between samples are wraps
 MAX_WRAPPED_RANGE_RAD = 2 * np.pi + 0.01  # a turn plus rounding

@@ -21,9 +21,9 @@ def _words(text: str) -> set[str]:
 
 TIME_UNITS = {
     **_alike("s sec secs second seconds", 1.0),
-    **_alike("ms msec millis millisecond milliseconds", 1e-3),
-    **_alike("us usec micros microsecond microseconds", 1e-6),
-    **_alike("ns nsec nanos nanosecond nanoseconds", 1e-9),
+    **_alike("ms msec msecs millis millisec millisecond milliseconds", 1e-3),
+    **_alike("us usec usecs micros microsec microsecond microseconds", 1e-6),
+    **_alike("ns nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds", 1e-9),
 }
 LENGTH_UNITS = {
     **_alike("m meter meters metre metres", 1.0),
@@ -41,14 +41,16 @@ ANGLE_UNITS = {
 PIXEL_WORDS = {"px", "pixel", "pixels"}
 UNITS = {*TIME_UNITS, *LENGTH_UNITS, *ANGLE_UNITS, *PIXEL_WORDS}
 TIME_WORDS = _words(
-    "t ts time times timestamp tstamp stamp datetime elapsed epoch unixtime"
+    "t ts time times timestamp tstamp stamp datetime elapsed epoch unixtime zeit"
 )
 FRAME_WORDS = _words("frame frames")
 INDEX_WORDS = _words("index idx number num no nr id")
 TRIAL_WORDS = _words("trial episode run take cast shot recording")
 # a column of one of these names the point that its row holds
 LABEL_WORDS = _words("marker point keypoint bodypart label particle")
-JOINT_WORDS = _words("joint jnt q j axis a motor servo angle ang theta th phi")
+JOINT_WORDS = _words(
+    "joint jnt q j axis a motor servo angle ang theta th phi achse gelenk"
+)
 # joints of serial arms named by body part, base first, as in ROS drivers
 NAMED_JOINTS = (
     ("shoulder pan", "1"),
@@ -81,7 +83,8 @@ NON_POSITION_WORDS = _words(
     f"{RATE_WORDS} {LOAD_WORDS} {COMMAND_WORDS} error residual width"
 )
 FILLER_WORDS = _words(
-    "pos position positions coord pose actual measured state ik of the observation"
+    "pos position positions coord pose actual measured state ik of the observation "
+    "field"
 )
 # per second, as in `deg/s` and `mm_per_s`
 RATE_UNIT = re.compile(r"(/|_per_|\*\*-|\^-)\s*s")
@@ -138,6 +141,9 @@ def column_meaning(column: str) -> ColumnMeaning:
         return ColumnMeaning("time", " ".join(content), unit=unit)
     if first in ARC_LENGTH_WORDS and len(content) <= 2 and not has_axis:
         return ColumnMeaning("arc", unit=_unit_if_in(unit, LENGTH_UNITS))
+    # a message of joint states has an array of positions
+    if len(content) == 1 and first.isdigit() and {"position", "positions"} & {*words}:
+        return ColumnMeaning("joint", first, unit=_unit_if_in(unit, ANGLE_UNITS))
     return _position_meaning(content, unit)
 
 

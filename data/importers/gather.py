@@ -131,6 +131,7 @@ def gather_tables(
     points = _join_parts(point_parts, names)
     film_of = {names[r]: r.film for r in films if r.film is not None}
     used_columns, unused_columns = _list_used_columns(parts)
+    points = _match_leading_zeros(points, motion)
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
@@ -346,6 +347,26 @@ def _trial_names(
         name = stem[len(prefix) : len(stem) - len(suffix)]
         names[recording] = trial_name(name)
     return names
+
+
+def _match_leading_zeros(points: pd.DataFrame, motion: pd.DataFrame) -> pd.DataFrame:
+    """Name the trials of points as those of the hand if only leading zeros differ."""
+    if points.empty or {*points["trial"]} & {*motion["trial"]}:
+        return points
+    names_of_number: dict[str, set[str]] = {}
+    for name in motion["trial"].unique():
+        names_of_number.setdefault(_without_zeros(name), set()).add(name)
+    new_names = {}
+    for name in points["trial"].unique():
+        names = names_of_number.get(_without_zeros(name), set())
+        new_names[name] = min(names) if len(names) == 1 else name
+    if len({*new_names.values()}) < len(new_names):
+        return points
+    return points.assign(trial=points["trial"].map(new_names))
+
+
+def _without_zeros(trial: str) -> str:
+    return re.sub(r"(?<!\d)0+(?=\d)", "", trial)
 
 
 def _require_common_trial(motion: pd.DataFrame, filmed: Sequence[str]) -> None:

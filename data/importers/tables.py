@@ -7,6 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from stringcast.data.file_checks import (
     MAX_COLUMNS,
     check_csv,
@@ -15,12 +17,14 @@ from stringcast.data.file_checks import (
     text_options,
 )
 from stringcast.data.importers import SourceRecording
-from stringcast.data.importers.columns import column_meaning
+from stringcast.data.importers.columns import TIME_UNITS, column_meaning, split_words
 from stringcast.data.schema import DataError
 
 SNIFFED_BYTES = 2**14  # [bytes] used to detect separator and headings
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".log", ".parquet")
 SEPARATORS = ",;\t|"
+COMMENT_MARKS = ("#", "%")
+COMMENT_SIGNS = "#% "  # before the names of columns
 
 
 def recognises(path: Path) -> bool:
@@ -36,6 +40,7 @@ def read(path: Path) -> list[SourceRecording]:
     """
     if path.suffix.lower() == ".parquet":
         frame, _ = read_parquet(path, "Write it again.")
+        frame = join_split_stamps(_with_index(frame))
         return [SourceRecording(path, frame)]
     options = _csv_options(path)
     remedy = "Save it as plain text in UTF-8."
@@ -47,29 +52,126 @@ def read(path: Path) -> list[SourceRecording]:
         frame[name] = frame[name].map(_trial_name)
     names = [str(name).strip() for name in frame.columns]
     _refuse_no_table(path, names, len(frame))
-    return [SourceRecording(path, frame.set_axis(names, axis=1))]
+    frame = join_split_stamps(frame.set_axis(names, axis=1))
+    return [SourceRecording(path, frame)]
+
+
+def _with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a table with its index as a column, if that has a name or holds times."""
+    index = frame.index
+    is_time = isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex)
+    name = index.name or ("time" if is_time else None)
+    if name is None or name in frame:
+        return frame
+    return frame.rename_axis(name).reset_index()
+
+
+def join_split_stamps(frame: pd.DataFrame) -> pd.DataFrame:
+    """Join time stamps that are split into whole seconds and a fraction, as in ROS.
+
+    The names differ in their unit only, such as `stamp.sec` and `stamp.nanosec`.
+    """
+    fraction_of: dict[str, tuple[str, str]] = {}
+    whole_of: dict[str, str] = {}
+    for name in map(str, frame):
+        words = split_words(name)
+        units = [word for word in words if word in TIME_UNITS]
+        if column_meaning(name).kind != "time" or len(units) != 1:
+            continue
+        key = " ".join(word for word in words if word not in units)
+        if TIME_UNITS[units[0]] == 1.0:
+            whole_of[key] = name
+        else:
+            fraction_of[key] = name, units[0]
+    for key, whole in whole_of.items():
+        if key not in fraction_of:
+            continue
+        fraction, unit = fraction_of[key]
+        seconds = pd.to_numeric(frame[whole], errors="coerce")
+        parts = pd.to_numeric(frame[fraction], errors="coerce")
+        count = round(1 / TIME_UNITS[unit])  # of parts in a second
+        known = seconds.notna() & parts.notna()
+        is_whole = (seconds[known] % 1 == 0).all()
+        if not known.any() or not is_whole or not parts[known].between(0, count).all():
+            continue
+        joined = frame[[whole]].set_axis(
+            [f"time: {whole}, {fraction} [{unit}]"], axis=1
+        )
+        joined[joined.columns[0]] = seconds * count + parts
+        rest = frame.drop(columns=[whole, fraction])
+        return pd.concat([joined, rest], axis=1)
+    return frame
 
 
 def _csv_options(path: Path) -> dict[str, Any]:
     """Detect options of `pandas.read_csv` from the first lines of a file."""
-    with check_csv(path).open(encoding="utf-8-sig", errors="replace") as text:
+    encoding = _detect_encoding(check_csv(path))
+    with path.open(encoding=encoding, errors="replace") as text:
         head = text.read(SNIFFED_BYTES).splitlines()
     if not any(line.strip() for line in head):
         raise DataError(path, "it is empty", "Export it again, or leave it out.")
-    skipped = 0
-    for number, line in enumerate(head):
-        if line.strip() and not line.lstrip().startswith(("#", "%")):
-            skipped = number
-            break
+    skipped = find_heading(head)
     separator, decimal = detect_separator(head[skipped:])
-    return {
+    options: dict[str, Any] = {}
+    if _is_comment(head[skipped]):
+        options = {"header": None, "names": _cells(head[skipped])}
+        skipped += 1
+    return options | {
         "skiprows": skipped,
-        "encoding": "utf-8-sig",
+        "encoding": encoding,
         "sep": separator,
         "decimal": decimal,
         "skipinitialspace": separator != r"\s+",
         "index_col": False,
     }
+
+
+def _detect_encoding(path: Path) -> str:
+    """Detect UTF-16 by its first bytes, and Windows-1252 as what is no UTF-8."""
+    content = path.read_bytes()
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"
+
+
+def find_heading(head: list[str]) -> int:
+    """Return the number of lines above the one that names the columns.
+
+    Comments and properties of the recording may stand above it. It has as many cells
+    as the first line of numbers, and is the first such line, or else the last comment:
+    ROS writes `%time,field.x`, NumPy `# t, x`.
+    """
+    filled = [number for number, line in enumerate(head) if line.strip()]
+    texts = [number for number in filled if not _is_comment(head[number])]
+    comments = [number for number in filled if _is_comment(head[number])]
+    for number in texts:
+        cells = _cells(head[number])
+        numeric = [cell for cell in cells if _is_number(cell.replace(",", ".", 1))]
+        if len(cells) < 2 or 2 * len(numeric) <= len(cells):
+            continue
+        for above in (*texts, *reversed(comments)):
+            if above < number and len(_cells(head[above])) == len(cells):
+                return above
+        break
+    return texts[0] if texts else 0
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(COMMENT_MARKS)
+
+
+def _cells(line: str) -> list[str]:
+    """Return the cells of a line; a separator at its end begins none."""
+    separator = max(SEPARATORS, key=line.count)
+    if separator not in line:
+        return line.lstrip(COMMENT_SIGNS).split()
+    line = line.lstrip(COMMENT_SIGNS) if _is_comment(line) else line
+    cells = next(lines.reader([line], delimiter=separator), [])
+    return cells[:-1] if cells and not cells[-1].strip() else cells
 
 
 def _refuse_no_table(path: Path, names: list[str], row_count: int) -> None:
@@ -110,8 +212,6 @@ def detect_separator(head: list[str]) -> tuple[str, str]:
     separator = max(SEPARATORS, key=first.count)
     if separator not in first:
         return (r"\s+" if len(first.split()) > 1 else ","), "."
-    if separator == ",":
-        return separator, "."
     for line in head[1:21]:
         for cell in next(lines.reader([line], delimiter=separator), []):
             if "," in cell and _is_number(cell.replace(",", ".", 1)):

@@ -18,6 +18,8 @@ MAX_STEP_S = 0.5
 # a restart goes back by more usual steps than swapped rows
 MIN_RETURN_STEPS = 10.0
 MAX_RETURN_SHARE = 0.02  # share of rows: more backward steps mean unordered rows
+DAY_S = 86400.0
+TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}([.,]\d+)?"
 
 
 def read_times(reader: RecordingReader) -> np.ndarray:
@@ -177,8 +179,17 @@ def _read_clock(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
 
 
 def _read_dates(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
-    """Read a column of dates as seconds since 1970."""
+    """Read a column of dates as seconds since 1970, or times of day since midnight."""
     raw = reader.table[column.name]
+    texts = raw.astype(str).str.strip()
+    is_time = texts.str.fullmatch(TIME_OF_DAY)
+    if is_time.any():
+        since_midnight = pd.to_timedelta(texts.where(is_time).str.replace(",", "."))
+        day_times = since_midnight.dt.total_seconds().to_numpy(dtype=float, copy=True)
+        known = np.isfinite(day_times)
+        day_times[known] = np.unwrap(day_times[known], period=DAY_S)  # past midnight
+        reader.note_use(column, "t", "times of day", "values", day_times)
+        return day_times
     dates = pd.Series(pd.NaT, index=raw.index)
     if not pd.api.types.is_float_dtype(raw):  # such as a column of infinities
         with suppress(ValueError, TypeError, OverflowError):

@@ -7,7 +7,7 @@ from functools import singledispatch
 
 import numpy as np
 
-from stringcast.data.importers.columns import LENGTH_UNITS
+from stringcast.data.importers.columns import ANGLE_UNITS, LENGTH_UNITS
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.importers.reader import UsedColumn
 from stringcast.stages.check.consistency.arm_place import ArmElsewhere
@@ -23,10 +23,13 @@ from stringcast.stages.check.consistency.corrections.joints import (
     AbsoluteAngles,
     Degrees,
     EncoderCounts,
+    JointConvention,
     JointOrder,
+    Radians,
 )
 from stringcast.stages.check.consistency.corrections.lengths import WrongUnit
 from stringcast.stages.check.consistency.corrections.times import PointRate
+from stringcast.stages.check.consistency.string_length import WrongLength
 
 # not stated in files, but certain: applied and reported without a question
 CERTAIN_MISTAKES = (WrongUnit, PointDirections, Degrees)
@@ -175,6 +178,35 @@ def degree_words(
 
 
 @option_words.register
+def radian_words(
+    correction: Radians, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option for angles in radians, unless degrees are stated."""
+    return [] if options.deg else ["--rad"]
+
+
+@option_words.register
+def convention_words(
+    correction: JointConvention, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the options for other signs and zeros of joints."""
+    if maps_joints(options) or options.absolute or options.counts:
+        return []
+    columns = {column.role: column for column in tables.used_columns}
+    words: list[str] = []
+    for name, sign, zero in zip(
+        tables.joints, correction.signs, correction.zeros, strict=True
+    ):
+        column = columns[name]
+        shift = np.radians(zero) / ANGLE_UNITS[column.unit]
+        text = "-" if sign < 0 else ""
+        text += column.column
+        text += f"{shift:+.9g}" if zero else ""
+        words += ["--map", f"{name}={text}"]
+    return words
+
+
+@option_words.register
 def absolute_words(
     correction: AbsoluteAngles, tables: ImportedTables, options: argparse.Namespace
 ) -> list[str]:
@@ -228,6 +260,14 @@ def base_words(
     """Return the option of the arm's base, if the motion determines it."""
     x, y = correction.place
     return [f"--base={x:g},{y:g}"] if correction.is_shown else []
+
+
+@option_words.register
+def length_words(
+    correction: WrongLength, tables: ImportedTables, options: argparse.Namespace
+) -> list[str]:
+    """Return the option of the string's length."""
+    return [f"--length={correction.length:g}"]
 
 
 @option_words.register

@@ -240,6 +240,15 @@ def misorder(*order: int) -> Callable[[Bench], Bench]:
     return lambda bench: bench.with_joints(lambda joints: joints[:, list(order)])
 
 
+def convention(
+    signs: tuple[int, ...], zeros: tuple[float, ...]
+) -> Callable[[Bench], Bench]:
+    """Write joints with other signs and zeros [degrees]."""
+    return lambda bench: bench.with_joints(
+        lambda joints: joints * np.array(signs) + np.radians(zeros)
+    )
+
+
 def matrix(*rows: tuple[float, float]) -> Callable[[Bench], Bench]:
     """Multiply positions by a matrix."""
     return lambda bench: bench.with_points(lambda xy: xy @ np.array(rows, float).T)
@@ -403,6 +412,18 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "joints 1 and 2 swapped": (misorder(1, 0, 2), "--map q1=joint2_deg"),
     "joints 2 and 3 swapped": (misorder(0, 2, 1), "--map q2=joint3_deg"),
     "joints 1 and 3 swapped": (misorder(2, 1, 0), "--map q1=joint3_deg"),
+    "joint 2 clockwise": (
+        convention((1, -1, 1), (0, 0, 0)),
+        "--map q2=-joint2_deg --map q3=joint3_deg",
+    ),
+    "joint 1 from above": (
+        convention((1, 1, 1), (-90, 0, 0)),
+        r"--map q1=joint1_deg\+90 --map q2=joint2_deg",
+    ),
+    "joints clockwise from above": (
+        convention((-1, -1, -1), (90, 0, 0)),
+        r"--map q1=-joint1_deg\+90 --map q2=-joint2_deg",
+    ),
     "missing y of the tip": (
         without("tracker", "tip_y_mm"),
         "column 'tip_x_mm' is the only coordinate",
@@ -410,6 +431,10 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "missing joint": (
         without("robot", "joint2_deg"),
         "angles of 2 joints",
+    ),
+    "radians named degrees": (
+        lambda bench: bench.with_joints(np.radians),
+        "--rad",
     ),
     "degrees named rad": (lambda bench: replace(bench, angle_name="rad"), "--deg"),
     "no units in names": (
@@ -431,6 +456,7 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "length in mm": (scaled("length", 1000.0), "would be metres|--length="),
     "length in cm": (scaled("length", 100.0), "would be metres|--length="),
     "length in inch": (scaled("length", 1 / 0.0254), "would be metres|--length="),
+    "length 20 % too long": (scaled("length", 1.2), "fits a length of about"),
     "no length": (lambda bench: replace(bench, length=None), "Measure it"),
     "no base": (lambda bench: replace(bench, base=None), "--base="),
     "base off in x": (shifted(0.3, 0.0), "--base="),

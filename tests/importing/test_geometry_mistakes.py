@@ -36,6 +36,8 @@ QUICK = {
         "clean",
         "trackers shuffled",
         "joints 1 and 2 swapped",
+        "radians named degrees",
+        "length 20 % too long",
         "cm named mm",
         "tracker's stamps doubled",
         "robot's stamps turn back",

@@ -23,6 +23,7 @@ from stringcast.pipeline.commands.dataset_import import (
     write_dataset,
 )
 from stringcast.pipeline.commands.import_ import column_table
+from stringcast.pipeline.commands.import_corrections import option_words
 from stringcast.pipeline.commands.import_options import (
     argument_parser,
     equivalent_command,
@@ -36,6 +37,7 @@ from stringcast.pipeline.commands.imported_measurements import (
     measurements_of_tables,
 )
 from stringcast.pipeline.settings.composition import UserError
+from stringcast.stages.check.consistency.corrections.joints import JointConvention
 from stringcast.stages.check.consistency.record import arm_poses
 from tests.importing.test_kinds_of_files import read, write
 
@@ -50,6 +52,9 @@ COLUMNS = {
     "actual_q_0": ColumnMeaning("joint", "0", "", ""),
     "Joint 2 Angle [°]": ColumnMeaning("joint", "2", "", "°"),
     "th3": ColumnMeaning("joint", "3", "", ""),
+    "field.position2": ColumnMeaning("joint", "2", "", ""),
+    "Gelenk 2 [°]": ColumnMeaning("joint", "2", "", "°"),
+    "tip_position_2": ColumnMeaning("other"),
     "phi_2_rad": ColumnMeaning("joint", "2", "", "rad"),
     "joint1_velocity": ColumnMeaning("other"),
     "joint1_deg/s": ColumnMeaning("other"),
@@ -612,3 +617,25 @@ def test_wrong_options_are_refused_in_one_line(words, message):
     with pytest.raises(UserError, match=message) as refused:
         argument_parser().parse_args(words)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("heading", ["q{} [°]", "joint{}_rad"])
+def test_map_options_give_joints_other_signs_and_zeros(tmp_path, heading):
+    """The options give the angles that the correction predicts."""
+    rng = np.random.default_rng(0)
+    names = [heading.format(number) for number in (1, 2, 3)]
+    angles = rng.uniform(-1.0, 1.0, (len(T), 3))
+    unit = 1.0 if "rad" in heading else np.pi / 180
+    arm = write(
+        tmp_path, "arm.csv", t=T, **dict(zip(names, angles.T / unit, strict=True))
+    )
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=T, tip_y=T)
+    options = argument_parser().parse_args([str(arm), str(tip)])
+    tables = gather_tables(read_recordings([arm, tip]), read_column_hints(options))
+    correction = JointConvention(
+        field="", statement="", signs=(1, -1, -1), zeros=(-90, 0, 180)
+    )
+    options.map = option_words(correction, tables, options)[1::2]
+    motion = read(arm, tip, columns=read_column_hints(options).columns).motion
+    right = angles * (1, -1, -1) + np.radians((-90, 0, 180))
+    np.testing.assert_allclose(motion[["q1", "q2", "q3"]], right, atol=1e-6)

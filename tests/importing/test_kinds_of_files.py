@@ -41,8 +41,9 @@ def arm(tmp_path):
             r"all 40 rows have the same \(stored as float",
         ),
         (np.floor(T / 0.1) * 0.1, "40 rows have 2 different ones, 0.1 apart"),
+        (np.round(T, 2), "40 rows have 21 different ones, 0.01 apart"),
     ],
-    ids=["float32", "coarse"],
+    ids=["float32", "coarse", "hundredths"],
 )
 def test_too_coarse_time_stamps_ask_for_the_frame_rate(arm, tmp_path, stamps, words):
     tip = write(tmp_path, "tip.csv", time=stamps, tip_x=TURN, tip_y=-TURN)
@@ -368,3 +369,120 @@ def test_two_coordinates_are_in_the_plane_of_three_of_another_body(tmp_path):
     tables = read(hand, camera, plane="x,z", y_is_down=True)
     np.testing.assert_allclose(tables.motion["y"], 0.3)
     np.testing.assert_allclose(tables.points["y"], -TURN)
+
+
+@pytest.mark.parametrize(
+    ("whole", "fraction", "parts"),
+    [
+        ("header.stamp.secs", "header.stamp.nsecs", 1e9),
+        ("sec", "nanosec", 1e9),
+        ("time_s", "time_us", 1e6),
+    ],
+)
+def test_seconds_and_fractions_in_two_columns_are_joined(
+    tmp_path, whole, fraction, parts
+):
+    second, rest = np.divmod(T + 1.7e9 + 0.9, 1.0)
+    stamps = {whole: second.astype(int), fraction: np.round(rest * parts).astype(int)}
+    arm = write(tmp_path, "arm.csv", **stamps, q1=TURN, q2=TURN, q3=TURN)
+    tip = write(tmp_path, "tip.csv", time=T, tip_x=TURN, tip_y=TURN)
+    times = read(arm, tip).motion["t"]
+    np.testing.assert_allclose(times - 1.7e9 - 0.9, T, atol=2e-6)
+
+
+def test_columns_of_whole_and_precise_times_stay_apart(tmp_path):
+    """Times in two units are no parts of one stamp."""
+    columns = {"time_s": T, "time_ns": (1e9 * T).astype(int)}
+    arm = write(tmp_path, "arm.csv", **columns, q1=TURN, q2=TURN, q3=TURN)
+    tip = write(tmp_path, "tip.csv", time=T, tip_x=TURN, tip_y=TURN)
+    np.testing.assert_allclose(read(arm, tip).motion["t"], T, atol=1e-9)
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_times_of_day_are_read_beyond_midnight(arm, tmp_path, mark):
+    start = pd.Timestamp("2026-01-01T23:59:59.95")
+    texts = []
+    for t in T:
+        moment = start + pd.Timedelta(seconds=t)
+        texts.append(moment.strftime("%H:%M:%S.%f").replace(".", mark))
+    tip = write(tmp_path, "tip.csv", Zeit=texts, tip_x=0.1, tip_y=T)
+    times = read(arm, tip).points["t"]
+    np.testing.assert_allclose(times - 86399.95, T, atol=1e-6)
+
+
+def test_properties_above_the_names_of_columns_are_skipped(arm, tmp_path):
+    """As in exports of Qualisys: name and value in each line."""
+    path = tmp_path / "tip.tsv"
+    properties = ["NO_OF_FRAMES\t40", "FREQUENCY\t200", "MARKER_NAMES\ttip"]
+    heading = "Frame\tTime\ttip X\ttip Y\ttip Z"
+    rows = []
+    for frame, (t, x) in enumerate(zip(T, TURN, strict=True)):
+        rows.append(f"{frame}\t{t:.4f}\t{x:.6f}\t0.0\t{-x:.6f}")
+    path.write_text("\n".join([*properties, heading, *rows]))
+    points = read(arm, path, plane="x,z").points
+    np.testing.assert_allclose(points[["x", "y"]], np.c_[TURN, -TURN], atol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_text_as_windows_saves_it_is_read(tmp_path, encoding):
+    columns = {f"q{n} [°]": np.degrees(TURN) for n in (1, 2, 3)}
+    pd.DataFrame({"t": T, **columns}).to_csv(
+        tmp_path / "arm.txt", sep="\t", index=False, encoding=encoding
+    )
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=TURN)
+    motion = read(tmp_path / "arm.txt", tip).motion
+    np.testing.assert_allclose(motion["q2"], TURN, atol=1e-6)
+
+
+def test_quoted_numbers_may_have_decimal_commas(arm, tmp_path):
+    texts = {"t": T, "tip_x": TURN, "tip_y": -TURN}
+    for name, numbers in texts.items():
+        texts[name] = [f"{number:.6f}".replace(".", ",") for number in numbers]
+    points = read(arm, write(tmp_path, "tip.csv", **texts)).points
+    np.testing.assert_allclose(points["x"], TURN, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("trials", "is_read"), [(("1", "2"), True), (("1", "3"), True), (("3", "4"), False)]
+)
+def test_leading_zeros_do_not_separate_trials(tmp_path, trials, is_read):
+    arms = [
+        write(tmp_path, f"arm_{name}.csv", t=T, q1=TURN, q2=TURN, q3=TURN)
+        for name in ("01", "02")
+    ]
+    names = np.repeat(trials, COUNT)
+    columns = {"trial": names, "t": np.tile(T, 2), "tip_x": 0.1, "tip_y": 0.2}
+    tips = write(tmp_path, "tips.csv", **columns)
+    if not is_read:
+        with pytest.raises(DataError, match="t01, t02, the string in t3, t4"):
+            read(*arms, tips)
+        return
+    points = read(*arms, tips).points
+    assert "t01" in {*points["trial"]}
+
+
+@pytest.mark.parametrize(("mark", "separator"), [("%", ","), ("# ", " "), ("# ", ",")])
+def test_heading_of_ros_or_numpy_begins_like_a_comment(tmp_path, mark, separator):
+    """Other comments above it, and in tables with a plain heading, are skipped."""
+    rows = "\n".join(separator.join([f"{t:.4f}", *["0.1"] * 3]) for t in T)
+    names = separator.join(["time", "q1", "q2", "q3"])
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=TURN, tip_y=TURN)
+    for text in (
+        f"{mark}log\n{mark}{names}\n{rows}",
+        f"{mark}a,b,c,d\n{names}\n{rows}",
+    ):
+        path = tmp_path / "arm.txt"
+        path.write_text(text)
+        motion = read(path, tip).motion
+        np.testing.assert_allclose(motion["t"], T)
+        assert (motion["q3"] == 0.1).all()
+
+
+@pytest.mark.parametrize("name", [None, "stamp"])
+def test_times_in_the_index_of_a_parquet_file_are_read(tmp_path, name):
+    stamps = pd.Timestamp("2026-01-31") + pd.to_timedelta(T, unit="s")
+    table = pd.DataFrame({"q1": TURN, "q2": TURN, "q3": TURN}, stamps.rename(name))
+    table.to_parquet(tmp_path / "arm.parquet")
+    tip = write(tmp_path, "tip.csv", time=T, tip_x=TURN, tip_y=TURN)
+    times = read(tmp_path / "arm.parquet", tip).motion["t"]
+    np.testing.assert_allclose(times - times[0], T, atol=1e-6)

@@ -21,6 +21,7 @@ from stringcast.stages.check.consistency.corrections.directions import (
 from stringcast.stages.check.consistency.corrections.joints import (
     AbsoluteAngles,
     Degrees,
+    joint_conventions,
 )
 from stringcast.stages.check.consistency.corrections.lengths import WrongUnit
 from stringcast.stages.check.consistency.corrections.times import (
@@ -41,6 +42,7 @@ from stringcast.stages.check.consistency.limits import broken_limits
 from stringcast.stages.check.consistency.pairing import find_pairing
 from stringcast.stages.check.consistency.prediction import mean_motion
 from stringcast.stages.check.consistency.record import Measurements
+from stringcast.stages.check.consistency.string_length import length_corrections
 from stringcast.stages.model.camera import Camera
 
 # of strings that an arm can cast
@@ -84,8 +86,9 @@ def find_answer(
     """Return corrections that make measurements consistent; empty if they are.
 
     Single corrections are tried first, then another pairing of trials, then another
-    place of the arm, then pairs of corrections. The last two are also tried if a single
-    correction has a larger misfit than right data: it may fit by chance.
+    place of the arm or length, then pairs of corrections, then other signs and zeros of
+    joints. The last three are also tried if a single correction has a larger misfit
+    than right data: it may fit by chance.
 
     before: the verdict. camera: in whose pixels positions may be.
     """
@@ -99,12 +102,18 @@ def find_answer(
         if pairing:
             return Answer(pairing=pairing)
     for candidates in (
-        base_corrections(measured, ()),
+        [*base_corrections(measured, ()), *length_corrections(measured)],
         pair_candidates(measured, singles),
     ):
         if not fits_as_right_data(proposals):
             others = consistent_proposals(measured, before, candidates)
             proposals = add_better_proposals(proposals, others)
+    if not fits_as_right_data(proposals):
+        # of so many, some fit by chance
+        conventions = [(one,) for one in joint_conventions(measured)]
+        others = consistent_proposals(measured, before, conventions)
+        others = [one for one in others if one.verdict.misfit < MAX_RIGHT_MISFIT]
+        proposals = add_better_proposals(proposals, others)
     return Answer(keep_rivals(proposals))
 
 
@@ -131,7 +140,7 @@ def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
     """Return a mistake in consistent measurements that fit better without it.
 
     The string remains possible with a similar motion of another trial, a wrong rate, or
-    a small error of the base.
+    a small error of the base or the length.
     """
     pairing = find_pairing(measured, before)
     if pairing or before.misfit < WORST_PERFECT_MISFIT:
@@ -139,6 +148,7 @@ def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
     candidates = [
         *((rate,) for rate in (*RATES, *PACES)),
         *base_corrections(measured, ()),
+        *length_corrections(measured),
     ]
     proposals = consistent_proposals(measured, before, candidates)
     return Answer(keep_rivals(proposals))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from stringcast.stages.check.consistency.corrections.base import Correction
 from stringcast.stages.check.consistency.record import Measurements, Recording
 
 MAX_PERMUTED_JOINTS = 3  # if there are more, only neighbours are exchanged
+QUARTER_TURNS = (0, 90, -90, 180)  # [degrees] between usual zeros of a joint
 MIN_COUNT = 100.0  # least maximum of joint angles that are counts
 
 
@@ -27,6 +28,38 @@ class Degrees(Correction):
 
     def undo(self, measured: Measurements) -> Measurements | None:
         return change_joints(measured, np.radians)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radians(Correction):
+    """Joint angles in radians were converted as if they were in degrees."""
+
+    table = "arm"
+    field: str
+    statement = "angles were in radians already, not in degrees"
+    remedy = "Multiply them by 180 / pi"
+
+    def undo(self, measured: Measurements) -> Measurements | None:
+        return change_joints(measured, np.degrees)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointConvention(Correction):
+    """Joints have other signs or zeros.
+
+    signs: 1 or -1 for each joint. zeros: to be added then [degrees].
+    """
+
+    table = "arm"
+    field: str
+    statement: str
+    remedy = "Change the columns so"
+    signs: tuple[int, ...]
+    zeros: tuple[int, ...]
+
+    def undo(self, measured: Measurements) -> Measurements | None:
+        zeros = np.radians(self.zeros)
+        return change_joints(measured, lambda joints: joints * self.signs + zeros)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +129,7 @@ def joint_corrections(count: int) -> Iterator[Correction]:
     names = [f"q{number + 1}" for number in range(count)]
     field = ", ".join(names)
     yield Degrees(field=field)
+    yield Radians(field=field)
     for zero in (0, COUNTS_PER_TURN // 2):
         yield EncoderCounts(
             field=field,
@@ -112,6 +146,30 @@ def joint_corrections(count: int) -> Iterator[Correction]:
         new = ", ".join(names[number] for number in order)
         statement = f"joints are in another order: what is called {new} is {field}"
         yield JointOrder(field=field, statement=statement, order=order)
+
+
+def joint_conventions(measured: Measurements) -> Iterator[JointConvention]:
+    """Yield other signs and zeros of joints, in quarter turns."""
+    counts = {r.joints.shape[1] for r in measured.recordings if r.joints is not None}
+    if len(counts) != 1 or max(counts) > MAX_PERMUTED_JOINTS:
+        return
+    (count,) = counts
+    names = [f"q{number + 1}" for number in range(count)]
+    for signs in product((1, -1), repeat=count):
+        for zeros in product(QUARTER_TURNS, repeat=count):
+            changes = []
+            for name, sign, zero in zip(names, signs, zeros, strict=True):
+                if sign < 0 or zero:
+                    shift = f" {'-' if zero < 0 else '+'} {abs(zero)} degrees"
+                    right = f"{'-' if sign < 0 else ''}{name}{shift if zero else ''}"
+                    changes.append(f"{name} is {right}")
+            if changes:
+                yield JointConvention(
+                    field=", ".join(names),
+                    statement=f"signs or zeros of joints: {', '.join(changes)}",
+                    signs=signs,
+                    zeros=zeros,
+                )
 
 
 def joint_orders(count: int) -> list[tuple[int, ...]]:
