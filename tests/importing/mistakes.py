@@ -463,6 +463,7 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "base off in y": (shifted(0.0, 0.3), "--base="),
     "base off by 6 cm": (shifted(-0.06, 0.0), "--base="),
     "fps half": (lambda bench: bench.with_rate(0.5), "--fps=?.?200"),
+    "fps 25 % too high": (lambda bench: bench.with_rate(1.25), "--fps=?.?200"),
     "fps double": (lambda bench: bench.with_rate(2.0), "--fps=?.?200"),
     "tip and mid exchanged": (exchange_names, "--at"),
     "trackers shuffled": (

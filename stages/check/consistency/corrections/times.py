@@ -40,7 +40,7 @@ def point_rate(factor: float, words: str) -> PointRate:
     """Return the correction of the points' frame rate by a factor."""
     return PointRate(
         statement=f"times of the points run {words}",
-        remedy=f"Multiply t, since the beginning of each trial, by {factor:g}: "
+        remedy=f"Multiply t, since the beginning of each trial, by {factor:.4g}: "
         "the frame rate was another",
         factor=factor,
     )
@@ -84,6 +84,11 @@ def scale_all_times(measured: Measurements, factor: float) -> Measurements:
 RATES = (
     point_rate(0.5, "half as fast as the arm's"),
     point_rate(2.0, "twice as fast as the arm's"),
+    # 200 and 250 frames a second, 200 and 240, 25 and 30
+    point_rate(0.8, "slower than the arm's by a fifth"),
+    point_rate(1.25, "faster than the arm's by a quarter"),
+    point_rate(5 / 6, "slower than the arm's by a sixth"),
+    point_rate(1.2, "faster than the arm's by a fifth"),
 )
 PACES = (
     pace(0.125, "an eighth of"),
