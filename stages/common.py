@@ -76,7 +76,7 @@ def mad_sigma(values: np.ndarray) -> float:
 def rms(values: np.ndarray) -> float:
     """Compute the root mean square of values of any shape; NaN of none."""
     if not np.size(values):
-        return float("nan")
+        return np.nan
     return float(np.sqrt(np.mean(np.square(values))))
 
 

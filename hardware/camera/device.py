@@ -151,7 +151,7 @@ class DeviceStream(Stream):
             good, image = self.capture.retrieve()
             if good:
                 stamp = self.capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
-                return Frame(arrival, stamp if stamp > 0 else float("nan"), image)
+                return Frame(arrival, stamp if stamp > 0 else np.nan, image)
         return None
 
     def close(self) -> None:

@@ -168,7 +168,7 @@ def run_row(run: Path) -> dict[str, Any]:
     except Exception as error:  # a foreign run may be damaged in any way
         reason = str(error) if isinstance(error, DataError) else repr(error)
         texts = [c.name for c in RUNS_TABLE.columns if c.kind == "text"]
-        numbers = {"iterations": 0, "best_E": float("nan"), "seconds": 0.0}
+        numbers = {"iterations": 0, "best_E": np.nan, "seconds": 0.0}
         said = {"state": "damaged", "message": reason}
         return dict.fromkeys(texts, "") | numbers | said
 
@@ -250,7 +250,7 @@ def step_columns(
     return {
         "date": min(dates, default=""),
         "iterations": count,
-        "best_E": max(rates, default=float("nan")),
+        "best_E": max(rates, default=np.nan),
         "seconds": float(sum(seconds)),
         "stale": first_stale_reason(run, steps, settings),
         "not_kept": "frames" if any(map(store.images_not_kept, steps)) else "",

@@ -38,18 +38,18 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     """
     t, tip, direction = _tip_track(trial)
     if len(t) < 2:
-        return float("nan")
+        return np.nan
     interval = max(float(np.median(np.diff(t))), 1e-9)
     frames_per_window = max(MIN_WINDOW_FRAMES, 2 * int(WINDOW_S / interval / 2) + 1)
     if len(t) < MIN_WINDOWS + frames_per_window:
-        return float("nan")
+        return np.nan
 
     # windows without lost frames, which would make them too long for a parabola
     times = sliding_window_view(t, frames_per_window)
     usual_duration = (frames_per_window - 1) * interval
     is_whole = np.ptp(times, axis=1) <= MAX_WINDOW_RATIO * usual_duration
     if is_whole.sum() < MIN_WINDOWS:
-        return float("nan")
+        return np.nan
 
     # acceleration in the middle of N windows of W frames
     middle = np.flatnonzero(is_whole) + frames_per_window // 2
@@ -62,13 +62,13 @@ def estimate_gravity(trial: CheckedTrial) -> float:
     measured = (acceleration * across).sum(axis=1)
     expected = -across[:, 1]
     if np.mean(expected**2) <= MIN_SINE**2:
-        return float("nan")
+        return np.nan
 
     # windows overlap: only every W-th is independent
     independent_count = max(len(middle) / frames_per_window, 1.0)
     gravity, sigma = _fit_through_origin(expected, measured, independent_count)
     if NORMAL_95 * sigma > max(abs(gravity), GRAVITY_M_S2):
-        return float("nan")
+        return np.nan
     return gravity
 
 
@@ -112,4 +112,4 @@ def median_gravity(trials: Iterable[CheckedTrial]) -> float:
     moving = [trial for trial in trials if trial.string_onset is not None]
     estimates = [estimate_gravity(trial) for trial in moving]
     known = [gravity for gravity in estimates if np.isfinite(gravity)]
-    return float(np.median(known)) if known else float("nan")
+    return float(np.median(known)) if known else np.nan

@@ -141,7 +141,7 @@ class CheckedTrial:
         """Mean rate at which a place was seen [1/s], with gaps; NaN for one frame."""
         duration = float(np.ptp(self.frame_t))
         if duration <= 0:
-            return float("nan")
+            return np.nan
         frame = np.searchsorted(self.frame_t, self.points["t"])
         tracks = track_places(frame, self.points["s"].to_numpy())
         return float(np.mean([len(track) for track in tracks])) / duration
@@ -178,7 +178,7 @@ class CheckedTrial:
         for values in scatter:
             if len(values) >= MIN_NOISE_SAMPLES and values.any():
                 sufficient.append(values)
-        return min(map(mad_sigma, sufficient or scatter), default=float("nan"))
+        return min(map(mad_sigma, sufficient or scatter), default=np.nan)
 
     @cached_property
     def is_smoothed(self) -> bool:
