@@ -164,7 +164,12 @@ class Video(Images):
                 f"frame {index} cannot be read",
                 "Restore the file or leave its trial out.",
             )
-        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return to_grey(image)
+
+
+def to_grey(image: np.ndarray) -> np.ndarray:
+    """Convert a grey or BGR image to grey, uint8 (height, width)."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 def image_size(path: Path) -> str:

@@ -13,13 +13,11 @@ from typing import Self
 
 import numpy as np
 
-from stringcast.data.lazy_module import LazyModule
+from stringcast.data.images import to_grey
 from stringcast.hardware.camera.record import RawFilm, build_recording
 from stringcast.hardware.camera.source import Frame, Source, Stream
 from stringcast.stages.execute.interfaces import HardwareError, Recording
 from stringcast.stages.model.camera import Camera
-
-cv2 = LazyModule("cv2")
 
 # queue of frames to convert; further ones are dropped and counted to limit memory
 QUEUE_FRAMES = 64
@@ -217,10 +215,3 @@ class BackgroundFilm:
             with self._changed:
                 self._is_over = True
                 self._changed.notify_all()
-
-
-def to_grey(image: np.ndarray) -> np.ndarray:
-    """Convert a grey or BGR image to grey, uint8 (height, width)."""
-    if image.ndim == 2:
-        return image
-    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stringcast.data.images import to_grey
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.calibrate.board import Board
 from stringcast.stages.common import rms
@@ -57,7 +58,7 @@ def detect_board(number: int, image: np.ndarray, board: Board) -> BoardView:
     BoardView
         The corners, or the reason why they cannot be used.
     """
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = to_grey(image)
     parameters = cv2.aruco.DetectorParameters()
     # OpenCV's default stops a tenth of a pixel from the corner.
     parameters.cornerRefinementMinAccuracy = CORNER_TOLERANCE_PX

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stringcast.data.images import to_grey
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import choose_evenly
 from stringcast.stages.model.box import Box
@@ -58,8 +59,7 @@ class ImageRegion:
 
     def crop(self, image: np.ndarray) -> np.ndarray:
         """Cut the region from an image, in grey."""
-        part = image[self.top : self.bottom, self.left : self.right]
-        return part if part.ndim == 2 else cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
+        return to_grey(image[self.top : self.bottom, self.left : self.right])
 
 
 def region_around(record: RunRecord, world: np.ndarray) -> ImageRegion:
