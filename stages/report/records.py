@@ -229,13 +229,21 @@ class DiagnosisRecord:
         }
 
 
+def complex_residual(table: pd.DataFrame, model: str) -> np.ndarray:
+    """Return measured minus simulated positions of table RESIDUALS, x + iy (n,) [m].
+
+    model: base or extended.
+    """
+    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
+    return (x + 1j * y).to_numpy()
+
+
 def model_distances(table: pd.DataFrame, model: str) -> np.ndarray:
     """Return distances (n,) [m] between measured points of table RESIDUALS and a model.
 
     model: base or extended.
     """
-    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    return np.hypot(x, y).to_numpy()
+    return np.abs(complex_residual(table, model))
 
 
 def trial_rms(table: pd.DataFrame, model: str) -> pd.Series:

@@ -15,7 +15,12 @@ from stringcast.stages.report.charts.axes import add_legend_above, draw_map, new
 from stringcast.stages.report.charts.string_film import tip_points
 from stringcast.stages.report.formatting import format_count, format_mm, join_names
 from stringcast.stages.report.parts import Chart, Line
-from stringcast.stages.report.records import DiagnosisRecord, model_distances, trial_rms
+from stringcast.stages.report.records import (
+    DiagnosisRecord,
+    complex_residual,
+    model_distances,
+    trial_rms,
+)
 from stringcast.stages.report.theme import Picture, svg_picture
 
 MODEL_COLOURS = {"base": "before", "extended": "after"}
@@ -127,16 +132,10 @@ def residual_components(table: pd.DataFrame, model: str) -> dict[str, np.ndarray
     split = (table["base_tangential"] + 1j * table["base_normal"]).to_numpy()
     direction = np.ones(len(table), complex)  # where there is no residual
     is_known = np.abs(split) > 0
-    np.divide(_complex_residual(table, "base"), split, out=direction, where=is_known)
-    rotated = _complex_residual(table, model) / direction
+    np.divide(complex_residual(table, "base"), split, out=direction, where=is_known)
+    rotated = complex_residual(table, model) / direction
     components = rotated / table["sigma"].to_numpy()
     return {"normal": components.imag, "tangential": components.real}
-
-
-def _complex_residual(table: pd.DataFrame, model: str) -> np.ndarray:
-    """Return measured minus simulated positions as x + iy [m], shape (n,)."""
-    x, y = table["x"] - table[f"{model}_x"], table["y"] - table[f"{model}_y"]
-    return (x + 1j * y).to_numpy()
 
 
 # --- over time
