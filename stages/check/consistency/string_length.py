@@ -45,7 +45,8 @@ def length_corrections(measured: Measurements) -> Iterator[tuple[Correction, ...
         return
     coarse = min(misfits, key=misfits.__getitem__)
     misfits |= misfits_of_lengths(measured, coarse * FINE_RATIOS)
-    length = round(min(misfits, key=misfits.__getitem__), 3)
+    best = min(misfits, key=misfits.__getitem__)
+    length = round(best, 3)
     if abs(length - stated) > MIN_LENGTH_ERROR * stated:
         statement = f"the string's motion fits a length of about {length:.3g} m"
         yield (WrongLength(statement=statement, length=length),)
