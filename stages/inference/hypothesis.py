@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stringcast.stages.inference.solver import FIRST_DIFFERENCE
 from stringcast.stages.model.effect import Effect, acts_abruptly, amplitude_parameters
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.parameter import Parameter
@@ -83,3 +84,8 @@ class Hypothesis:
         absent = self.model.exponents_of_values({})
         pairs = zip(self.model.names, absent, strict=True)
         return np.array([known.get(name, start) for name, start in pairs])
+
+    def widths_from(self, known: Mapping[str, float]) -> np.ndarray:
+        """Collect difference widths (P,) by name; unknown ones have the default."""
+        names = self.model.names
+        return np.array([known.get(name, FIRST_DIFFERENCE) for name in names])

@@ -99,6 +99,11 @@ class Fit:
         return dict(zip(self.hypothesis.model.names, self.chi.tolist(), strict=True))
 
     @property
+    def widths(self) -> dict[str, float]:
+        """The difference widths by parameter name."""
+        return dict(zip(self.hypothesis.model.names, self.width.tolist(), strict=True))
+
+    @property
     def values(self) -> dict[str, float]:
         """The parameters' values by name."""
         return self.hypothesis.model.values_at(self.chi)
@@ -120,6 +125,7 @@ def fit_hypothesis(
     starts: np.ndarray,
     grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
+    width: np.ndarray | None = None,
 ) -> Fit:
     """Fit the parameters of a hypothesis, and each discrepancy's course and scale.
 
@@ -131,8 +137,11 @@ def fit_hypothesis(
         Initial course and scale of each discrepancy, (K,).
     min_gain
         A step that gains less log-likelihood is slow (`solver`).
+    width
+        Difference widths (P,), if an earlier fit has chosen them. Differences that it
+        simulated are not simulated again.
     """
-    chi, width = best_exponents(data, hypothesis, starts, grid_points, min_gain)
+    chi, width = best_exponents(data, hypothesis, starts, grid_points, min_gain, width)
     return evaluate_fit(data, hypothesis, chi, width)
 
 
@@ -158,6 +167,7 @@ def best_exponents(
     starts: np.ndarray,
     grid_points: np.ndarray,
     min_gain: float = solver.MIN_GAIN,
+    width: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the best exponents (P,) and their difference widths (P,).
 
@@ -170,7 +180,9 @@ def best_exponents(
     # Screen the starts
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
-    runs = solver.fit_least_squares(likelihood, starts, iterations, min_gain)
+    runs = solver.fit_least_squares(
+        likelihood, starts, iterations, min_gain, width=width
+    )
     by_grid_point = data.log_likelihood_by_grid_point(data.residuals(model, runs.chi))
     best = int(np.argmax(marginal_log_likelihood(by_grid_point).sum(axis=0)))
     run = runs.select(best)
@@ -188,7 +200,9 @@ def best_exponents(
             data.residuals(model, run.chi)
         )
         updated = most_likely_grid_point(by_grid_point[:, 0])
-    return run.chi[0], run.width[0]
+    # The last differences, if they belong to these exponents, need not be repeated
+    width = run.width[0] if run.stale[0] else run.used_width[0]
+    return run.chi[0], width
 
 
 def log_likelihoods(

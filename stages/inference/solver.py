@@ -111,6 +111,8 @@ class SolverRuns:
         Huber loss of the residuals, (R,).
     width
         Widths of chi for the next differences, (R, P).
+    used_width
+        Widths of the differences in curvature and gradient, (R, P).
     damping
         Damping of the last good step, (R,).
     stale
@@ -132,6 +134,7 @@ class SolverRuns:
     residual: np.ndarray
     loss: np.ndarray
     width: np.ndarray
+    used_width: np.ndarray
     damping: np.ndarray
     stale: np.ndarray
     is_slow: np.ndarray
@@ -143,11 +146,20 @@ class SolverRuns:
 
     @classmethod
     def start(
-        cls, problem: Problem, chi: np.ndarray, is_fixed: np.ndarray | None = None
+        cls,
+        problem: Problem,
+        chi: np.ndarray,
+        is_fixed: np.ndarray | None = None,
+        width: np.ndarray | None = None,
     ) -> SolverRuns:
-        """Start runs at exponents (R, P); by default none is fixed."""
+        """Start runs at exponents (R, P); by default none is fixed.
+
+        width: of their first differences, (P,).
+        """
         count, size = chi.shape
         residual = problem.residuals(chi)
+        if width is None:
+            width = np.full(size, FIRST_DIFFERENCE)
         if is_fixed is None:
             is_fixed = np.zeros(chi.shape, dtype=bool)
         return cls(
@@ -155,7 +167,8 @@ class SolverRuns:
             is_fixed=is_fixed,
             residual=residual,
             loss=huber_loss(residual, problem.limit),
-            width=np.full(chi.shape, FIRST_DIFFERENCE),
+            width=np.tile(width, (count, 1)),
+            used_width=np.tile(width, (count, 1)),
             damping=np.full(count, INITIAL_DAMPING),
             stale=np.ones(count, dtype=bool),
             is_slow=np.zeros(count, dtype=bool),
@@ -186,6 +199,9 @@ class SolverRuns:
 
     def reweight(self, problem: Problem) -> None:
         """Continue all runs with the problem's present weights."""
+        # Differences that were simulated at these exponents are not simulated again
+        is_stale = self.stale[:, None]
+        self.width = np.where(is_stale, self.width, self.used_width)
         self.residual = problem.residuals(self.chi)
         self.loss = huber_loss(self.residual, problem.limit)
         self.damping = np.minimum(self.damping, INITIAL_DAMPING)
@@ -202,6 +218,7 @@ def fit_least_squares(
     min_gain: float = MIN_GAIN,
     max_gains_behind: float = np.inf,
     is_fixed: np.ndarray | None = None,
+    width: np.ndarray | None = None,
 ) -> SolverRuns:
     """Minimise the loss from several starts in parallel.
 
@@ -216,8 +233,10 @@ def fit_least_squares(
         its slopes predict.
     is_fixed
         Whether an exponent is kept fixed, (R, P).
+    width
+        Widths of the first differences, (P,), if an earlier fit has chosen them.
     """
-    runs = SolverRuns.start(problem, starts, is_fixed)
+    runs = SolverRuns.start(problem, starts, is_fixed, width)
     for _ in range(max_iterations):
         if not runs.active.any():
             break
@@ -324,6 +343,7 @@ def _linearise_runs(problem: Problem, runs: SolverRuns, chosen: np.ndarray) -> N
     weighted = slope * weight / residual.shape[1]
     runs.normal[chosen] = weighted @ slope.transpose(0, 2, 1)
     runs.gradient[chosen] = np.einsum("rpn,rn->rp", weighted, residual)
+    runs.used_width[chosen] = width
     runs.width[chosen] = difference_widths(slope, runs.loss[chosen])
     runs.stale[chosen] = False
     for run in chosen:  # normal and gradient are those of half the loss

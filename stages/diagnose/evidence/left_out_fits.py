@@ -56,6 +56,7 @@ def exponents_without_groups(
             fit.hypothesis,
             fit.chi[None],
             fit.grid_points[others],
+            width=fit.width,
         )
         return chi
 

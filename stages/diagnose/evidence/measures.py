@@ -44,7 +44,10 @@ def refit(
         A step that gains less log-likelihood is slow (`solver`).
     """
     start = hypothesis.exponents_from(fit.exponents)
-    return fit_hypothesis(data, hypothesis, start[None], fit.grid_points, min_gain)
+    width = hypothesis.widths_from(fit.widths)
+    return fit_hypothesis(
+        data, hypothesis, start[None], fit.grid_points, min_gain, width
+    )
 
 
 def fit_in_workers(
@@ -153,7 +156,9 @@ def refitted_leave_one_out_gain(data: TrialData, parent: Fit, fit: Fit) -> float
     log_evidence = []
     for one in (fit, parent):
         grid_points = one.grid_points[others]
-        refitted = fit_hypothesis(rest, one.hypothesis, one.chi[None], grid_points)
+        refitted = fit_hypothesis(
+            rest, one.hypothesis, one.chi[None], grid_points, width=one.width
+        )
         log_evidence.append(refitted.log_evidence)
     return log_evidence[0] - log_evidence[1]
 

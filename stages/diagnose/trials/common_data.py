@@ -156,6 +156,6 @@ def _find_best(
     """Find the best exponents (P,) of a fit's hypothesis from starts (C, P)."""
     fit = current.fit
     chi, _ = best_exponents(
-        current.data, fit.hypothesis, starts, fit.grid_points, min_gain
+        current.data, fit.hypothesis, starts, fit.grid_points, min_gain, fit.width
     )
     return chi

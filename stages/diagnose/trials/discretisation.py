@@ -234,6 +234,7 @@ def correct_discretisation_once(prepared: PreparedData, fit: Fit) -> RefinedFit:
         fit.chi[None],
         unmoved.grid_points,
         NEGLIGIBLE_LOG_EVIDENCE,
+        fit.width,
     )
 
     # Compute the error at the new optimum, for which only its exponents are needed
