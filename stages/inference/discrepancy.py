@@ -15,6 +15,7 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425. Higdon et al. 2008, JASA 1
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -110,6 +111,18 @@ class Discrepancy:
         for errors in self._errors_by_course:
             by_course.append(errors.log_likelihood_by_scale(coefficients))
         return np.concatenate(by_course, axis=1)
+
+    def log_likelihood_by_nuisance_size(
+        self, coefficients: np.ndarray, sizes: np.ndarray
+    ) -> np.ndarray:
+        """Compute the log-likelihood with other sizes of the nuisance, (L, C, W S).
+
+        coefficients: (C, 2 M). sizes: factors of U, (L, m).
+        """
+        by_course = []
+        for errors in self._errors_by_course:
+            by_course.append(errors.log_likelihood_by_size(coefficients, sizes))
+        return np.concatenate(by_course, axis=2)
 
     def posterior_mean(self, coefficients: np.ndarray, grid_point: int) -> np.ndarray:
         """Compute the most likely discrepancy over sigma, (2 n,).
@@ -223,13 +236,33 @@ class _ErrorsOfCourse:
 
     def log_likelihood_by_scale(self, coefficients: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of coefficients (C, 2 M) at each scale, (C, S)."""
+        return self._log_likelihoods(coefficients, [self._nuisance_terms])[0]
+
+    def log_likelihood_by_size(
+        self, coefficients: np.ndarray, sizes: np.ndarray
+    ) -> np.ndarray:
+        """Compute the log-likelihood with other sizes of U, (L, C, S).
+
+        coefficients: (C, 2 M). sizes: factors of U, (L, m).
+        """
+        terms = [self._nuisance_terms_at(size) for size in sizes]
+        return self._log_likelihoods(coefficients, terms)
+
+    def _log_likelihoods(
+        self,
+        coefficients: np.ndarray,
+        nuisance_terms: Sequence[tuple[np.ndarray, np.ndarray]],
+    ) -> np.ndarray:
+        """Compute the log-likelihood with each of L `_nuisance_terms`, (L, C, S)."""
         precision = self.basis.precision_by_scale  # of D, (S, M)
-        covariance, log_determinant = self._nuisance_terms  # (S, m, m), (S,)
         rotated = self.basis.rotate(coefficients)  # (C, 2, M)
         square = np.sum(rotated**2, axis=1) @ precision.T  # c' D^-1 c, (C, S)
         projected = self._project(rotated, precision).transpose(2, 0, 1)  # (S, C, m)
-        explained = np.sum((projected @ covariance) * projected, axis=2)  # (S, C)
-        return np.asarray(-0.5 * (square - explained.T + log_determinant))
+        log_likelihoods = []
+        for covariance, log_determinant in nuisance_terms:
+            explained = np.sum((projected @ covariance) * projected, axis=2)  # (S, C)
+            log_likelihoods.append(-0.5 * (square - explained.T + log_determinant))
+        return np.stack(log_likelihoods)
 
     def nuisance_amplitudes(
         self, coefficients: np.ndarray, scale_index: int
@@ -255,9 +288,21 @@ class _ErrorsOfCourse:
         The posterior covariance (1 + U' D^-1 U)^-1 (S, m, m) of the amplitudes, and ln
         |V| (S,).
         """
-        precision = self.basis.precision_by_scale
-        products = self._project(self.nuisance, precision).transpose(2, 0, 1)
-        information = products + np.eye(len(self.nuisance))
-        log_determinant = -2 * np.log(precision).sum(axis=1)
+        return self._nuisance_terms_at(np.ones(len(self.nuisance)))
+
+    def _nuisance_terms_at(self, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the terms with other sizes of U, relative to the present ones, (m,).
+
+        Amplitudes are in units of the present U.
+        """
+        factors = np.outer(size, size)
+        information = factors * self._nuisance_products + np.eye(len(size))
+        log_determinant = -2 * np.log(self.basis.precision_by_scale).sum(axis=1)
         log_determinant += np.linalg.slogdet(information)[1]
-        return np.linalg.inv(information), log_determinant
+        return factors * np.linalg.inv(information), log_determinant
+
+    @cached_property
+    def _nuisance_products(self) -> np.ndarray:
+        """U' D^-1 U at each scale, (S, m, m)."""
+        precision = self.basis.precision_by_scale
+        return self._project(self.nuisance, precision).transpose(2, 0, 1)

@@ -63,7 +63,7 @@ class CourseBasis:
         """Compute the variance of a discrepancy at a scale, (M,)."""
         return np.asarray(DISCREPANCY_SCALES_M[scale_index] ** 2 * self.variance)
 
-    @property
+    @cached_property
     def precision_by_scale(self) -> np.ndarray:
         """The precision of discrepancy plus noise at each scale, (S, M)."""
         variance = DISCREPANCY_SCALES_M[:, None] ** 2 * self.variance

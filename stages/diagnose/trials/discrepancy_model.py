@@ -111,18 +111,33 @@ def with_random_effects(
         if not cause.varies_between_trials:
             continue
         residuals, shapes = _shapes_per_metre(data, hypothesis, cause, chi)
-        tried = [data]
-        for width_m in TIP_SHIFT_WIDTHS_M:
+        data = data.without_random_effect(cause.name)
+        others = data.for_hypothesis(hypothesis)
+        width_m = _most_likely_width_m(others, residuals, shapes)
+        if width_m > 0:
             scaled = tuple(width_m * shape for shape in shapes)
             random_effects = {**data.random_effects, cause.name: scaled}
-            tried.append(replace(data, random_effects=random_effects))
-        log_likelihoods = []
-        for option in tried:
-            extended = option.for_hypothesis(hypothesis)
-            by_grid_point = extended.log_likelihood_by_grid_point(residuals)
-            log_likelihoods.append(marginal_log_likelihood(by_grid_point).sum())
-        data = tried[int(np.argmax(log_likelihoods))]
+            data = replace(data, random_effects=random_effects)
     return data
+
+
+def _most_likely_width_m(data: TrialData, residuals: ByTrial, shapes: ByTrial) -> float:
+    """Choose the standard deviation at the tip of a further random effect [m], or 0.
+
+    residuals: of each trial, (1, 2 n). shapes: displacements by the effect over sigma,
+    scaled to 1 m at the tip, (2 n, m).
+    """
+    widths_m = np.concatenate([[0.0], TIP_SHIFT_WIDTHS_M])
+    log_likelihoods = np.zeros(len(widths_m))
+    for trial, residual, shape in zip(data.trials, residuals, shapes, strict=True):
+        extended = trial.discrepancy.with_nuisance(shape)
+        sizes = np.ones((len(widths_m), extended.nuisance_shapes.shape[1]))
+        sizes[:, -shape.shape[1] :] = widths_m[:, None]
+        by_grid_point = extended.log_likelihood_by_nuisance_size(
+            extended.coefficients(residual), sizes
+        )
+        log_likelihoods += marginal_log_likelihood(by_grid_point)[:, 0]
+    return float(widths_m[np.argmax(log_likelihoods)])
 
 
 def _shapes_per_metre(
