@@ -181,7 +181,7 @@ def best_exponents(
     starts = solver.distinct_starts(likelihood, starts)
     iterations = SCREENING_ITERATIONS if len(starts) > 1 else 0
     runs = solver.fit_least_squares(
-        likelihood, starts, iterations, min_gain, width=width
+        likelihood, starts, iterations, min_gain, solver.MAX_GAINS_BEHIND, width=width
     )
     by_grid_point = data.log_likelihood_by_grid_point(data.residuals(model, runs.chi))
     best = int(np.argmax(marginal_log_likelihood(by_grid_point).sum(axis=0)))

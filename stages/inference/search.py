@@ -25,6 +25,7 @@ from stringcast.stages.inference.initial_modes import (
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import mesh_ladder
 from stringcast.stages.inference.solver import (
+    MAX_GAINS_BEHIND,
     MAX_ITERATIONS,
     distinct_solutions,
     fit_least_squares,
@@ -40,10 +41,6 @@ MIN_NUMBERS_PER_PARAMETER = 10
 HORIZON_GROWTH = 1.75  # ratio of successive horizons
 WHOLE_TRIAL_SHARE = 0.8  # of the longest trial: a longer horizon is the whole trial
 MIN_FINALISTS = 8  # starts that go on, if they have reached different minima
-# Of the gain that its slopes predict: a start further behind the best is dropped. In
-# ten drawn trials a start behind by twice its predicted gain still became the best, and
-# one behind by 25 times did not.
-MAX_GAINS_BEHIND = 10.0
 # in log-likelihood: such gains still add up along a valley
 REFINEMENT_MIN_GAIN = 0.005
 MAX_REFINEMENT_ROUNDS = 10  # usually three are enough

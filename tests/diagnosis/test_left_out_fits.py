@@ -45,7 +45,11 @@ def refit_to_others(data, fit, left_out):
     others = [k for k in range(len(data.trials)) if k != left_out]
     grid_points = fit.grid_points[others]
     chi, _ = best_exponents(
-        data.subset(others), fit.hypothesis, fit.chi[None], grid_points
+        data.subset(others),
+        fit.hypothesis,
+        fit.chi[None],
+        grid_points,
+        width=fit.width,
     )
     return chi
 

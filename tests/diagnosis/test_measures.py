@@ -16,6 +16,7 @@ def fit(log_evidence, by_trial):
         hypothesis="one",
         grid_points=np.arange(len(by_trial)),
         chi=np.array([log_evidence]),
+        width=np.array([1e-3]),
     )
 
 
@@ -41,7 +42,7 @@ def test_both_fits_are_refitted_without_that_trial(monkeypatch):
     data = Trials()
     scales = []
 
-    def refit(rest, hypothesis, starts, grid_points):
+    def refit(rest, hypothesis, starts, grid_points, width):
         scales.append(list(grid_points))
         return SimpleNamespace(log_evidence=2 * starts[0, 0])
 

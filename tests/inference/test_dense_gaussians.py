@@ -144,6 +144,19 @@ def test_the_likelihood_of_every_grid_point_is_that_of_the_dense_covariance(
             assert np.sum(white**2, axis=1) == pytest.approx(square)
 
 
+def test_a_nuisance_of_another_size_has_the_likelihood_of_scaled_shapes(
+    film, shapes, errors
+):
+    residual = np.random.default_rng(2).standard_normal((2, 2 * FRAMES * POINTS))
+    coefficients = errors.coefficients(residual)
+    sizes = np.array([[1.0, 1.0, 1.0], [1.0, 0.5, 30.0], [1.0, 1.0, 0.0]])
+    found = errors.log_likelihood_by_nuisance_size(coefficients, sizes)
+    for by_grid_point, size in zip(found, sizes, strict=True):
+        scaled = Discrepancy.for_trial(film, GROWTH, size * shapes)
+        expected = scaled.log_likelihood_by_grid_point(coefficients)
+        assert by_grid_point == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("grid_point", [SCALE_INDEX, LATE])
 def test_residuals_are_split_into_discrepancy_nuisance_and_noise(
     film, errors, shapes, grid_point

@@ -183,6 +183,36 @@ def test_a_fit_maximises_the_likelihood_of_exponents_and_grid_points(size):
     assert ((width >= 1e-6) & (width <= 1e-3)).all()
 
 
+class RecordedData(ScaledData):
+    """The same trials; they record the exponents at which they were simulated."""
+
+    def __init__(self):
+        super().__init__()
+        self.simulated = set()
+
+    def residuals(self, model, chi):
+        self.simulated |= {row.tobytes() for row in chi}
+        return super().residuals(model, chi)
+
+
+def test_a_fit_to_its_end_has_differences_that_were_simulated():
+    """A fit that begins there finds them among the kept points (`kept_points`)."""
+    data = RecordedData()
+    hypothesis = hypothesis_of(UNIT)
+    hypothesis.model = SimpleNamespace(parameters=hypothesis.parameters)
+    start = np.array([[0.3, 0.6, 0.9]])
+    first = np.array([GRID_POINTS - 1, 0])
+    chi, width = laplace.best_exponents(data, hypothesis, start, first, 1e-3)
+    differences, _ = solver.difference_exponents(chi, width)
+    assert {row.tobytes() for row in differences} <= data.simulated
+
+    by_grid_point = data.log_likelihood_by_grid_point(data.residuals(None, chi[None]))
+    last = discrepancy_grid.most_likely_grid_point(by_grid_point[:, 0])
+    data.simulated.clear()
+    laplace.best_exponents(data, hypothesis, chi[None], last, 1e-3, width)
+    assert data.simulated == {row.tobytes() for row in differences}
+
+
 def curved(start):
     """Return residuals 2 + 4e3 x + 1e7 x^2 of the distance x from a start, (C, 1)."""
 

@@ -31,7 +31,6 @@ from stringcast.stages.inference.laplace import (
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import with_model
 from stringcast.stages.inference.search import (
-    MAX_GAINS_BEHIND,
     refine_solution,
     screen_candidates,
     search_parameters,
@@ -194,7 +193,7 @@ def _fit_beginnings(likelihood: Likelihood, starts: np.ndarray) -> np.ndarray:
         starts,
         BEGINNING_ITERATIONS,
         STRONG_LOG_EVIDENCE,
-        MAX_GAINS_BEHIND,
+        solver.MAX_GAINS_BEHIND,
     )
     return np.asarray(run.chi)
 
