@@ -28,7 +28,7 @@ class WrongLength(Correction):
     length: float
 
     def undo(self, measured: Measurements) -> Measurements | None:
-        """State the length."""
+        """Return the measurements with the fitted length."""
         return replace(measured, length=self.length)
 
 
