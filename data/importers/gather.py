@@ -341,7 +341,10 @@ def _trial_names(
     reversed_stems = [stem[::-1] for stem in stems]
     suffix = commonprefix(reversed_stems)[::-1]  # noqa: RUF071
     # the common suffix of drive_a and release_a is _a, not e_a
-    suffix = re.sub("^[A-Za-z0-9]*", "", suffix)
+    # and that of film_1DLC_resnet50 and film_2DLC_resnet50 begins at DLC
+    ends = [stem[: len(stem) - len(suffix)][-1:] for stem in stems]
+    if not (suffix[:1].isalpha() and all(end.isdigit() for end in ends)):
+        suffix = re.sub("^[A-Za-z0-9]*", "", suffix)
     names = {}
     for recording, stem in zip(recordings, stems, strict=True):
         name = stem[len(prefix) : len(stem) - len(suffix)]

@@ -280,6 +280,7 @@ def test_positions_in_metres_are_preferred_to_pixels(arm, tmp_path):
         ("drive_black", "release_black", {"drive", "release"}),
         ("runA_x", "runB_x", {"A", "B"}),
         ("take07", "take17", {"t07", "t17"}),
+        ("film_1DLC_resnet", "film_2DLC_resnet", {"t1", "t2"}),
     ],
 )
 def test_trial_names_are_cut_at_whole_words(tmp_path, first, second, trials):
