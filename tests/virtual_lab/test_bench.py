@@ -12,7 +12,7 @@ from stringcast.hardware.virtual.obstacles import Box, Obstacles
 from stringcast.hardware.virtual.render import Look, render_background, render_frame
 from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.execute.execute import execute
-from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
+from stringcast.stages.model.engine.integrators import RungeKutta4
 from stringcast.stages.model.hand import resample_joint_motion
 
 
@@ -79,7 +79,7 @@ def test_soft_string_is_simulated_under_compression(arm, camera):
         "grasp_damping": 0.02,
     }
     string = specimen("A")
-    string = replace(string, parameters={**string.parameters, **yielding})
+    string = replace(string, points=40, parameters={**string.parameters, **yielding})
     bench = VirtualBench(arm, camera, string, seed=0)
     device, motion = VirtualArm(bench), swing(duration=0.3)
     device.move_to(motion.commands[list(JOINTS)].iloc[0].tolist())
@@ -89,18 +89,25 @@ def test_soft_string_is_simulated_under_compression(arm, camera):
     lengths = np.linalg.norm(np.diff(points, axis=1), axis=-1)
     assert lengths.min() < 0.5 * bench.model.string.segment_length
 
-    implicit = replace(
-        bench.model.string, integrator=ImplicitLeapfrog(), largest_step=2e-5
+    explicit = replace(
+        bench.model.string,
+        integrator=RungeKutta4(),
+        largest_step=1e-5,
+        shortest_segment=0.25,
     )
     joints = resample_joint_motion(*bench.performed_motion, tick=0.001)
-    model = replace(bench.model, string=implicit)
+    model = replace(bench.model, string=explicit)
     expected = model.simulate_string(joints, bench.values, t).points[0]
-    np.testing.assert_allclose(points, expected, atol=1e-6)
+    np.testing.assert_allclose(points, expected, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["C", "D"])
-def test_mesh_error_of_a_soft_string_is_below_camera_resolution(arm, camera, name):
-    """Halving the points moves string D by 0.6 mm."""
+@pytest.mark.parametrize("name", ["A", "D"])
+def test_the_lab_has_strings_without_a_mesh(arm, camera, name):
+    """Estimated values would differ from those of a coarse chain.
+
+    With 40 points, a tip mass of 0.25 of string B looked like one of 0.2492 in a slow
+    swing.
+    """
     from conftest import specimen
 
     t = np.arange(0, 1.0, 1e-3)
@@ -113,7 +120,7 @@ def test_mesh_error_of_a_soft_string_is_below_camera_resolution(arm, camera, nam
         string = replace(bench.specimen, points=count)
         tips.append(replace(bench, specimen=string).string_at(t[::5])[:, -1])
     apart = np.linalg.norm(tips[0] - tips[1], axis=-1)
-    assert np.sqrt(np.mean(apart**2)) < 0.2e-3
+    assert np.sqrt(np.mean(apart**2)) < 0.03e-3
 
 
 def test_execute_films_rest_around_the_movement(filmed):

@@ -103,8 +103,8 @@ OPEN_CHOICES = (
             "the softest"
         ),
         "strings of the virtual lab (conf/specimen) that bend under their own weight "
-        "over 131, 77, 45 and 18 mm; 40 points (D: 80), and an integrator and step "
-        "that differ from the model's",
+        "over 131, 77, 45 and 18 mm; 160 points and steps of 0.05 ms, so that no mesh "
+        "shows",
     ),
     (
         "does not give the origin; an arm based at it could not reach three targets",

@@ -31,7 +31,7 @@ from stringcast.stages.hit_test import HitResult, hit_test
 from tests.benchmarks.casting.worlds import World
 
 TRUTH_STEP_S = 1e-3  # time step at which the true string is compared with the target
-MARKER_SPACING = 2  # every second point of the lab's string is measured
+MARKERS = 20  # about as many points of the lab's string are measured
 
 
 @dataclass
@@ -129,8 +129,9 @@ def string_as_points(
 
     `sigma` is the stated uncertainty of a coordinate [m].
     """
-    string = string[:, ::-MARKER_SPACING][:, ::-1]
-    s = bench.specimen.string().arc_lengths()[::-MARKER_SPACING][::-1]
+    spacing = max(bench.specimen.points // MARKERS, 1)
+    string = string[:, ::-spacing][:, ::-1]
+    s = bench.specimen.string().arc_lengths()[::-spacing][::-1]
     points = {
         "t": t.repeat(len(s)),
         "s": np.tile(s, len(t)),
