@@ -264,6 +264,8 @@ POINTS = Table(
     s [m]: arc length from the grasp
     x [m]: measured position
     y [m]: measured position
+    by_share (bool, optional): s is the share of the measured line's length at this
+        point, times the string's length; else the point is a mark on the string
     sigma [m] (optional): one standard deviation of a coordinate
     valid (bool, optional): the point can be used
     """),

@@ -47,7 +47,6 @@ cv2 = LazyModule("cv2")
 
 WINDOW_MARGIN_PX = 12.0  # around the string's reach
 MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of the string in one frame over that in the film
-STRETCH_ERROR_SHARE = 0.3  # relative error of a point's shift by uneven tension
 # From this half width on, brightness has no sharp maximum in the middle.
 WIDE_STRING_HALF_WIDTH_PX = 3.0
 HAND_SIGMA_PX = 0.5  # of a coordinate of the hand, if fitted to the frames
@@ -251,13 +250,10 @@ class FrameReader:
         if not (in_columns and 1 <= v <= self.camera.height - 2):
             raise UnreadableError("the string leaves the picture")
 
-        s = arc_lengths_on_line(self.arc_lengths, length)
-        points = interpolate_rows(s, depth, world)
+        # A line shows how much the string is stretched, but not where
         evenly_spaced = length * self.arc_lengths / string_length
-        sigma = np.hypot(
-            np.interp(s, depth, line.sigma) / self.camera.px_per_m,
-            STRETCH_ERROR_SHARE * (s - evenly_spaced),
-        )
+        points = interpolate_rows(evenly_spaced, depth, world)
+        sigma = np.interp(evenly_spaced, depth, line.sigma) / self.camera.px_per_m
         _, png = cv2.imencode(".png", mask * 255, [cv2.IMWRITE_PNG_BILEVEL, 1])
         return FrameReading(points, sigma, png.tobytes(), length)
 
@@ -324,31 +320,6 @@ class FrameReader:
         return middle + share[:, None, None] * moved, blur
 
 
-def arc_lengths_on_line(s: np.ndarray, length: float) -> np.ndarray:
-    """Convert arc lengths of the string at rest to arc lengths on a measured line.
-
-    Tension stretches a string by the inertia of the part beyond each point. It falls
-    linearly to zero at the free end of a string thrown straight. If the line is shorter
-    than the string, all of it is scaled.
-
-    Parameters
-    ----------
-    s : (K,) array
-        Arc lengths at rest [m], up to the tip's.
-    length : float
-        Length of the line [m].
-
-    Returns
-    -------
-    (K,) array
-        Arc lengths on the line [m].
-    """
-    share = s / s[-1]
-    stretch = max(length - s[-1], 0.0)
-    even = share * (length - stretch)
-    return even + stretch * share * (2 - share)
-
-
 def _build_tables(
     t: np.ndarray,
     readings: list[FrameReading | str],
@@ -371,8 +342,8 @@ def _build_tables(
         tip = {"tip_x": x[-1], "tip_y": y[-1], "tip_sigma": sigma[-1]}
         length = {"length": reading.length}
         rows.append({**frame, "valid": True, "reason": "", **tip, **length})
-        line = {"t": t[number], "s": s, "x": x, "y": y, "sigma": sigma, "valid": True}
-        points.append(pd.DataFrame(line))
+        line = {"t": t[number], "s": s, "x": x, "y": y, "by_share": True}
+        points.append(pd.DataFrame({**line, "sigma": sigma, "valid": True}))
         masks.append({**frame, "png": reading.mask})
     table = pd.DataFrame(rows)
     if arm_fit is not None:

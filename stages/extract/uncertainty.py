@@ -19,7 +19,7 @@ SMOOTHED_NOISE_SHARE = 0.8  # of the centroid's noise, after averaging along the
 NOISE_CORRELATION_PX = 2.0  # of noise in a blurred picture, across the line
 HIDDEN_SLOPE_SIGMA = 0.2  # [px/px] change of direction in a hidden part
 END_SLOPE_SIGMA = 0.02  # [px/px] error of the direction of an extension
-HIDDEN_LENGTH_SIGMA = 0.05  # [px/px] error of the length of a hidden part
+HIDDEN_LENGTH_SIGMA = 0.03  # [px/px] error of the length of a hidden part
 
 
 def centroid_sigma(

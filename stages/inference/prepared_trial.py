@@ -19,7 +19,10 @@ from stringcast.stages.inference.initial_state import (
 from stringcast.stages.inference.noise import WHITE_NOISE, Noise
 from stringcast.stages.inference.whitening import UNIT_ERRORS, IndependentErrors
 from stringcast.stages.kept_results import content_digest
-from stringcast.stages.model.engine.sampling import interpolate_measurements
+from stringcast.stages.model.engine.sampling import (
+    interpolate_measurements,
+    interpolate_shares,
+)
 from stringcast.stages.model.engine.simulate import StringMotion
 from stringcast.stages.model.hand import (
     HandMotion,
@@ -71,6 +74,9 @@ class PreparedTrial:
         computed.
     error_model
         The model of residuals over sigma.
+    by_share
+        Whether `s` is the share of the line's length in the frame, times the string's
+        length: a line without marks does not show where the string is stretched.
     """
 
     name: str
@@ -91,6 +97,7 @@ class PreparedTrial:
     error_model: IndependentErrors | Discrepancy = field(
         default=UNIT_ERRORS, repr=False
     )
+    by_share: bool = False
 
     @property
     def discrepancy(self) -> Discrepancy:
@@ -153,7 +160,11 @@ class PreparedTrial:
 
     def sample_at_points(self, points: np.ndarray) -> np.ndarray:
         """Interpolate strings (C, F, n, 2) at the measured points, (C, N, 2) [m]."""
-        position = self.s / self.model.string.segment_length
+        string = self.model.string
+        if self.by_share:
+            share = self.s / string.length
+            return np.asarray(interpolate_shares(points, self.frame, share))
+        position = self.s / string.segment_length
         return np.asarray(interpolate_measurements(points, self.frame, position))
 
     def normalised_residuals(self, points: np.ndarray) -> np.ndarray:
@@ -167,7 +178,8 @@ class PreparedTrial:
         """A digest of all inputs of the points' simulation except the model."""
         start = [self.motion, self.initial_state, self.turn]
         length = self.model.string.segment_length
-        return content_digest([*start, self.times, self.frame, self.s, length])
+        places = [self.frame, self.s, np.array([self.by_share])]
+        return content_digest([*start, self.times, *places, length])
 
     def shift_times(self, seconds: float) -> PreparedTrial:
         """Add an offset to the camera's times [s]."""
@@ -243,6 +255,7 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
         s=points["s"].to_numpy(),
         points=points[["x", "y"]].to_numpy(),
         sigma=points["sigma"].to_numpy() if sigma_is_known else np.ones(len(points)),
+        by_share="by_share" in points and bool(points["by_share"].all()),
     )
     hand = trial.motion.actual_hand_motion(model.arm, ())
     if observation.starts_moving:

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from stringcast.stages.common import interpolate_rows
-from stringcast.stages.extract.extract import arc_lengths_on_line, extract
+from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.model.camera import Camera
@@ -234,15 +234,3 @@ def test_real_footage_agrees_with_its_published_table(name, length):
         away.append(np.hypot(x - real["x"], y - real["y"]))
     assert len(away) >= 0.98 * len(every)
     assert np.sqrt(np.mean(np.square(away))) < 1.5e-3
-
-
-def test_arc_lengths_on_a_string_stretched_by_its_weight_are_correct():
-    """A string stretched by its own weight has correct arc lengths.
-
-    Hung up, a string of stiffness EA and weight w is longer by w (s L - s^2 / 2) / EA
-    down to s.
-    """
-    s, stretch = np.linspace(0, 0.3, 31), 0.8
-    hung = s + stretch * (0.3 * s - s**2 / 2)
-    np.testing.assert_allclose(arc_lengths_on_line(s, hung[-1]), hung, atol=1e-12)
-    np.testing.assert_allclose(arc_lengths_on_line(s, 0.27), 0.9 * s, atol=1e-12)

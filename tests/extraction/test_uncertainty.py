@@ -12,6 +12,7 @@ import yaml
 from conftest import ROOT, specimen
 
 from stringcast.stages.common import interpolate_rows
+from stringcast.stages.extract.centreline import cumulative_length
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import fill_never_uncovered
@@ -41,14 +42,14 @@ def casts(arm, camera):
 def errors_over_sigma(cast, cell):
     """Return errors of both coordinates over the stated sigma, (F, 30, 2).
 
-    Each error is relative to the point's place on the true string.
+    Each error is relative to the same share of the true string's length.
     """
     found, shot = read_cast(cast, cell, partial(extract, **SETTINGS))
-    share = np.linspace(0, 1, shot.truth.shape[1])
     result = []
     for t, rows in found.points[found.points["s"] > 0].groupby("t"):
         true = shot.truth[int(np.argmin(np.abs(shot.frame_times - t)))]
-        places = interpolate_rows(rows["s"] / 0.3, share, true)
+        depth = cumulative_length(true)
+        places = interpolate_rows(rows["s"] / 0.3 * depth[-1], depth, true)
         result.append(
             (rows[["x", "y"]].to_numpy() - places) / rows[["sigma"]].to_numpy()
         )
