@@ -1001,7 +1001,7 @@ def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
     explained = compare.linear_mean_square(effect) / compare.linear_mean_square(absent)
     assert explained < 0.7
     refined = compare.screen(effect).rms_m / compare.screen(absent).rms_m
-    assert np.sqrt(explained) == pytest.approx(refined, rel=0.1)
+    assert np.sqrt(explained) == pytest.approx(refined, abs=0.02)
 
 
 def test_linear_ranking_stands_a_block_that_nothing_explains(arm, camera, observe):
@@ -1028,7 +1028,10 @@ def test_no_effect_is_evident_if_none_is_hidden(screened):
 
 
 def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
-    """At the true parameters the mesh of 10 segments errs by more than the noise."""
+    """At the true parameters the mesh of 10 segments errs by more than the noise.
+
+    The scale of noise alone is 1.
+    """
     noise_scales = []
 
     def keep_noise(likelihood, *given):
@@ -1044,7 +1047,8 @@ def test_screening_subtracts_the_mesh_error(arm, camera, observe, monkeypatch):
     noise_scales.clear()
     monkeypatch.setattr(f"{module}.with_corrected_points", lambda given, chi: given)
     replace(compare).screen(effect)
-    assert corrected < 0.5 * noise_scales[0]
+    assert corrected < 1.1
+    assert noise_scales[0] > 1.5
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_points_are_those_of_the_bench_with_noise_of_the_size_told(arm, camera):
     np.testing.assert_array_equal(last[["x", "y"]].to_numpy(), tips)
     assert seen.points["s"].max() == pytest.approx(0.3)
     middle = seen.points.groupby("s").get_group(seen.points["s"].unique()[5])
-    at = round(middle["s"].iloc[0] / 0.3 * 39)
+    at = round(middle["s"].iloc[0] / 0.3 * (true.shape[1] - 1))
     assert np.abs(middle[["x", "y"]].to_numpy() - true[:, at]).max() < 5 * 0.0007
 
 
