@@ -101,6 +101,6 @@ def test_a_simulator_whose_package_is_missing_says_which(monkeypatch):
     monkeypatch.setitem(sys.modules, "elastica", None)
     module = "tests.benchmarks.simulators.pyelastica"
     monkeypatch.delitem(sys.modules, module, raising=False)
-    words = r"simulator pyelastica needs elastica.*pip install pyelastica"
+    words = r"simulator pyelastica: it needs elastica.*pip install pyelastica"
     with pytest.raises(DataError, match=words):
         load_simulator.__wrapped__("pyelastica")

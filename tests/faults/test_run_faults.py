@@ -112,7 +112,7 @@ def test_failed_run_states_the_reason_and_has_no_summary(tmp_path):
     with pytest.raises(DataError, match="broke"):
         toy_run(tmp_path / "run", toy_experiment(estimate_by=broken))
     assert not (tmp_path / "run" / "run.json").exists()
-    assert (tmp_path / "run" / "failed.txt").read_text() == "the estimation broke\n"
+    assert (tmp_path / "run" / "failed.txt").read_text() == "the estimation broke.\n"
     assert toy_run(tmp_path / "run", here)[0] == ["estimate"]
     assert json.loads((tmp_path / "run" / "run.json").read_text())["sentence"]
     assert not (tmp_path / "run" / "failed.txt").exists()
