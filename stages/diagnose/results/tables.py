@@ -196,7 +196,7 @@ def screening_table(state: SelectionState) -> pd.DataFrame:
                 "predicted_gain": proposal.gain,
             }
             rows.append(row)
-    return SCREENING.check(pd.DataFrame(rows)) if rows else SCREENING.empty()
+    return SCREENING.from_rows(rows)
 
 
 def likeness_table(state: SelectionState) -> pd.DataFrame:
@@ -210,7 +210,7 @@ def likeness_table(state: SelectionState) -> pd.DataFrame:
             "cosine": proposal.cosine_similarity(other),
         }
         rows.append(row)
-    return LIKENESS.check(pd.DataFrame(rows)) if rows else LIKENESS.empty()
+    return LIKENESS.from_rows(rows)
 
 
 def causes_table(
@@ -252,7 +252,7 @@ def causes_table(
         common["sentence"] = sentence
         for row in _parameter_rows(fit, effect, intervals):
             rows.append(common | row)
-    return CAUSES.check(pd.DataFrame(rows)) if rows else CAUSES.empty()
+    return CAUSES.from_rows(rows)
 
 
 def may_be_absent(
