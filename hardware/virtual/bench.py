@@ -28,6 +28,7 @@ from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.engine.implicit_leapfrog import ImplicitLeapfrog
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
@@ -151,7 +152,7 @@ class VirtualBench:
         """Compute the true arm at times (F,) [s], (F, J + 1, 2) [m]."""
         commanded = self._commanded_motion(self.servo.step)
         motion = self.model.joint_motion(commanded, self.values)
-        angles = _interpolate_angles(times, motion.times, motion.angles[0])
+        angles = interpolate_rows(times, motion.times, motion.angles[0])
         return self.arm.joint_positions(angles)
 
     def _commanded_motion(self, tick: float) -> JointMotion:
@@ -179,14 +180,6 @@ class VirtualBench:
         model, values = self.model, self.values
         points = true(model.required_times(values, times).ravel())
         return model.observed_points(points[None], values, times)[0]
-
-
-def _interpolate_angles(
-    times: np.ndarray, t: np.ndarray, angles: np.ndarray
-) -> np.ndarray:
-    """Interpolate angles (K, J) at t (K,) to other times (F,), (F, J)."""
-    columns = [np.interp(times, t, column) for column in angles.T]
-    return np.stack(columns, axis=-1)
 
 
 @dataclass
@@ -229,7 +222,7 @@ class VirtualArm:
         fine, turned = bench.servo.follow_commands(t, speeds, bench.random_generator(1))
         angles = bench.pose + turned
         bench.performed_motion = (fine, angles)
-        reported = _interpolate_angles(t, fine, angles)
+        reported = interpolate_rows(t, fine, angles)
         encoders = bench.servo.encoder_reading(reported)
         measured = dict(zip(JOINTS, encoders.T, strict=True))
         # tables of a good link: commands late by tens of microseconds

@@ -7,9 +7,10 @@ import numpy as np
 from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.schema import DataError
 from stringcast.stages.align.sightings import SightedTrial, Sightings
-from stringcast.stages.common import interpolate_rows, mad_sigma
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 
 MAX_GRASP_ARC_LENGTH_M = 1e-3  # points of smaller arc length are the grasp
 # points nearer to the grasp of the joint angles were computed, not measured

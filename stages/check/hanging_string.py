@@ -15,8 +15,9 @@ from scipy.optimize import least_squares
 
 from stringcast.stages.check.consistency.prediction import REFERENCE_LENGTH_M
 from stringcast.stages.check.consistency.record import Measurements
-from stringcast.stages.common import interpolate_rows, rms
+from stringcast.stages.common import rms
 from stringcast.stages.model.effects.rest_curvature import RestCurvature
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.model.statics.equilibrium import hanging_shape
 from stringcast.stages.model.string import PAPER_EFFECTS, String

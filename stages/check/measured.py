@@ -14,13 +14,10 @@ from stringcast.data.artifacts import JOINTS, Observation
 from stringcast.data.dataset import Dataset
 from stringcast.data.lost_samples import zero_row_mask
 from stringcast.data.rows import spike_mask
-from stringcast.stages.common import (
-    GRAVITY_M_S2,
-    interpolate_rows,
-    mad_sigma,
-)
+from stringcast.stages.common import GRAVITY_M_S2, mad_sigma
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.string_places import (
     places_wander,

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.export.mjcf import CARRIAGE_JOINTS
 from stringcast.stages.inference.prepared_trial import PreparedTrial
 from stringcast.stages.model.hand import HandMotion
+from stringcast.stages.model.interpolation import interpolate_rows
 
 mujoco = LazyModule("mujoco")
 

@@ -16,12 +16,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from stringcast.data.lazy_module import LazyModule
-from stringcast.stages.common import (
-    interpolate_rows,
-    mad_sigma,
-)
+from stringcast.stages.common import mad_sigma
 from stringcast.stages.extract.segment import SegmentedFrame
 from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.polyline import (
     step_lengths,
     turn_left,

@@ -14,7 +14,7 @@ from stringcast.data.artifacts import MASKS, POINTS, READINGS, Film, Points, Tri
 from stringcast.data.images import CachedImages
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
-from stringcast.stages.common import Progress, choose_evenly, interpolate_rows
+from stringcast.stages.common import Progress, choose_evenly
 from stringcast.stages.extract.arm_in_image import ArmFit, fit_arm
 from stringcast.stages.extract.centreline import (
     MIN_PROFILE_REACH_PX,
@@ -41,6 +41,7 @@ from stringcast.stages.extract.segment import (
 from stringcast.stages.extract.stabilise import MAX_SAMPLES, stabilise_film
 from stringcast.stages.extract.window import window_around
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.spec import StageCall
 
 cv2 = LazyModule("cv2")

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from stringcast.data.artifacts import JOINTS, Film
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.arm import Arm
 from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.model import Model
 
 

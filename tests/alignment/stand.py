@@ -18,8 +18,8 @@ from stringcast.data.artifacts import (
 from stringcast.hardware.virtual.servo import VirtualServo
 from stringcast.stages.align.excitation.excite import excite
 from stringcast.stages.align.fit import measurement_model
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.hand import JointMotion, resample_joint_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 

@@ -39,12 +39,12 @@ from stringcast.stages.align.fit import (
 from stringcast.stages.align.grasp import hand_sightings
 from stringcast.stages.align.lookalike import largest_hidden_lag
 from stringcast.stages.align.sightings import SightedTrial
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.estimate.random_search import estimate
 from stringcast.stages.extract.footage import aligned_footage
 from stringcast.stages.model.box import Box
 from stringcast.stages.model.hand import resample_joint_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String

@@ -9,7 +9,6 @@ from conftest import rms_distance
 
 from stringcast.data import dataset
 from stringcast.data.schema import DataError
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate import least_squares
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.inference.initial_modes import (
@@ -24,6 +23,7 @@ from stringcast.stages.inference.initial_state import (
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState
 from tests.conftest import implicit_string

@@ -12,11 +12,11 @@ from stringcast.data.estimates import PARAMETERS, SCORE, Estimate, Prediction
 from stringcast.data.schema import DataError
 from stringcast.pipeline.modes.estimate import EstimateTrials as Estimation
 from stringcast.pipeline.run.result import run_summary
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.estimate.prediction.predict import predict, resting_part
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.state import StringState

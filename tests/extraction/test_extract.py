@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage, footage_from_joints
 from stringcast.stages.extract.score import pixel_scores, rasterise
 from stringcast.stages.model.camera import Camera
+from stringcast.stages.model.interpolation import interpolate_rows
 
 SETTINGS = {
     "points": 31,

@@ -11,12 +11,12 @@ import pytest
 import yaml
 from conftest import ROOT, specimen
 
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.extract.centreline import cumulative_length
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import fill_never_uncovered
 from stringcast.stages.extract.uncertainty import point_sigmas
+from stringcast.stages.model.interpolation import interpolate_rows
 from tests.benchmarks.extraction import footage as real
 from tests.benchmarks.extraction.conditions import CONDITIONS
 from tests.benchmarks.extraction.films import ConditionLevel, perform_cast, read_cast

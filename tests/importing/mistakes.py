@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from stringcast.stages.check.consistency.record import arm_poses
-from stringcast.stages.common import interpolate_rows
 from stringcast.stages.model.engine.simulate import simulate
 from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.string import String
 from tests.conftest import TRUTH
 

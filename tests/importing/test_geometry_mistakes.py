@@ -12,7 +12,7 @@ from conftest import ROOT
 
 from stringcast.data import dataset
 from stringcast.stages.check.consistency.record import arm_poses
-from stringcast.stages.common import interpolate_rows
+from stringcast.stages.model.interpolation import interpolate_rows
 from tests.importing.mistakes import (
     FILE_MISTAKES,
     MISTAKES,

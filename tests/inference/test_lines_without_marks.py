@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stringcast.stages.common import interpolate_rows, rms
+from stringcast.stages.common import rms
 from stringcast.stages.extract.centreline import cumulative_length
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.engine.sampling import interpolate_shares
 from stringcast.stages.model.hand import resample_hand_motion
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.library import find_effects
 from stringcast.stages.model.model import Model
 from tests.conftest import implicit_string

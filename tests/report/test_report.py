@@ -17,9 +17,10 @@ from matplotlib.figure import Figure
 
 from stringcast.data.artifacts import JOINTS, Motion, Points, Trial
 from stringcast.data.estimates import Estimate
-from stringcast.stages.common import interpolate_rows, readable_name
+from stringcast.stages.common import readable_name
 from stringcast.stages.hit_test import MAX_GAP_S, HitResult
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.string import String
 from stringcast.stages.model.target import Target

@@ -16,7 +16,7 @@ from stringcast.stages.check.consistency.record import (
     Recording,
     Track,
 )
-from stringcast.stages.common import interpolate_rows
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.polyline import step_lengths
 
 # of a point's distance from the hand beyond its arc length, relative to the string's

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 from stringcast.stages.check.measured import CheckedTrial
-from stringcast.stages.common import MM_PER_M, interpolate_rows
+from stringcast.stages.common import MM_PER_M
+from stringcast.stages.model.interpolation import interpolate_rows
 from stringcast.stages.model.polyline import step_lengths
 from stringcast.stages.report.theme import MS_PER_S, STYLE_SHEET
 
