@@ -150,7 +150,7 @@ def find_heading(head: list[str]) -> int:
     comments = [number for number in filled if _is_comment(head[number])]
     for number in texts:
         cells = _cells(head[number])
-        numeric = [cell for cell in cells if _is_number(cell.replace(",", ".", 1))]
+        numeric = [cell for cell in cells if _is_number(cell) or _has_comma(cell)]
         if len(cells) < 2 or 2 * len(numeric) <= len(cells):
             continue
         for above in (*texts, *reversed(comments)):
@@ -166,8 +166,8 @@ def _is_comment(line: str) -> bool:
 
 def _cells(line: str) -> list[str]:
     """Return the cells of a line; a separator at its end begins none."""
-    separator = max(SEPARATORS, key=line.count)
-    if separator not in line:
+    separator = _commonest_separator(line)
+    if not separator:
         return line.lstrip(COMMENT_SIGNS).split()
     line = line.lstrip(COMMENT_SIGNS) if _is_comment(line) else line
     cells = next(lines.reader([line], delimiter=separator), [])
@@ -209,14 +209,25 @@ def _trial_name(cell: object) -> object:
 def detect_separator(head: list[str]) -> tuple[str, str]:
     """Detect the separator of columns and the decimal mark from the first lines."""
     first = head[0] if head else ""
-    separator = max(SEPARATORS, key=first.count)
-    if separator not in first:
+    separator = _commonest_separator(first)
+    if not separator:
         return (r"\s+" if len(first.split()) > 1 else ","), "."
     for line in head[1:21]:
         for cell in next(lines.reader([line], delimiter=separator), []):
-            if "," in cell and _is_number(cell.replace(",", ".", 1)):
+            if _has_comma(cell):
                 return separator, ","
     return separator, "."
+
+
+def _commonest_separator(line: str) -> str:
+    """Return the commonest separator of a line, or "" if it has none."""
+    separator = max(SEPARATORS, key=line.count)
+    return separator if separator in line else ""
+
+
+def _has_comma(cell: str) -> bool:
+    """Return whether a cell is a number with a decimal comma."""
+    return "," in cell and _is_number(cell.replace(",", ".", 1))
 
 
 def _is_number(text: str) -> bool:
