@@ -17,6 +17,7 @@ from stringcast.data.artifacts import Motion
 from stringcast.data.estimates import Estimate
 from stringcast.stages.generate.curves import Curves, curves_from_motion
 from stringcast.stages.model.arm import Arm
+from stringcast.stages.model.interpolation import interpolate_rows
 
 # root mean square distance of two hand paths, as a share of the string's length, at
 # which misfits of the tip have a correlation of 0.6; measured, see README.md
@@ -72,8 +73,7 @@ class RepeatedMisfit:
     def tip_at_ticks(self, count: int) -> np.ndarray:
         """Interpolate the misfit of the last cast at ticks, (K, 2) [m]."""
         ticks = self.arm.tick * np.arange(count)
-        parts = [np.interp(ticks, self.times, part) for part in self.tip.T]
-        return np.stack(parts, axis=-1)
+        return interpolate_rows(ticks, self.times, self.tip)
 
     def sigma_at_ticks(self, count: int) -> np.ndarray:
         """Return the largest misfit until each tick, as a coordinate's sigma, (K,) [m].
