@@ -124,8 +124,6 @@ class String(Parametrised):
         The time step.
     largest_step : float
         Largest step for accuracy [s]. Stability may need a smaller one.
-    shortest_segment : float
-        Shortest compressed segment for which a step is stable, in rest lengths.
 
     Raises
     ------
@@ -142,7 +140,6 @@ class String(Parametrised):
     ranges: Mapping[str, Parameter] = field(default_factory=dict)
     integrator: Integrator = SemiImplicitEuler()
     largest_step: Annotated[float, Field(ge=1e-6, le=0.1)] = 2.0e-4
-    shortest_segment: Annotated[float, Field(gt=0, le=1)] = 1.0
 
     def __post_init__(self) -> None:
         """Refuse meshes that cannot be simulated."""

@@ -93,7 +93,6 @@ def test_soft_string_is_simulated_under_compression(arm, camera):
         bench.model.string,
         integrator=RungeKutta4(),
         largest_step=1e-5,
-        shortest_segment=0.25,
     )
     joints = resample_joint_motion(*bench.performed_motion, tick=0.001)
     model = replace(bench.model, string=explicit)

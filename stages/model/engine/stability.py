@@ -124,8 +124,6 @@ def frequency_and_damping_bounds(
     axial, bending, grasp = np.array(eigenvalues).T / ratio
     length = string.free_segment_lengths(material)
     operators = np.stack([axial / length, bending / length**3, grasp / length**2])
-    # In a compressed segment a moment has a shorter lever.
-    operators[1:] /= string.shortest_segment**2
 
     integrator = string.integrator
     stiffness, damping = integrator.step_limiting_slope(*slopes)
