@@ -16,6 +16,7 @@ import pandas as pd
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.columns import ColumnMeaning, column_meaning, stated_unit
 from stringcast.data.importers.hand_motion import find_zero_rows, read_motion
+from stringcast.data.importers.pauses import split_at_pauses
 from stringcast.data.importers.reader import (
     ColumnHints,
     RecordingReader,
@@ -135,6 +136,9 @@ def gather_tables(
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
+    if len(points) and not film_of:
+        motion, points, pauses = split_at_pauses(motion, points)
+        notes += pauses
     return ImportedTables(
         motion=motion,
         points=points,

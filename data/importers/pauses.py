@@ -1,0 +1,56 @@
+"""Trials of recordings that pause: one file of the hand and one of the string."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from stringcast.data.importers.reader import trial_name
+
+MIN_PAUSE_S = 0.5
+MIN_PAUSE_STEPS = 20.0  # usual steps between samples
+
+
+def split_at_pauses(
+    motion: pd.DataFrame, points: pd.DataFrame
+) -> tuple[pd.DataFrame, pd.DataFrame, list[str]]:
+    """Split each trial where the recordings of hand and string both pause.
+
+    They must pause equally often, because their clocks may differ. A pause of one alone
+    is lost data. Returns both tables with new names of trials, and notes.
+    """
+    notes = []
+    for name in motion["trial"].unique():
+        hand_rows = motion["trial"] == name
+        point_rows = points["trial"] == name
+        hand_parts = number_parts(motion.loc[hand_rows, "t"])
+        point_parts = number_parts(points.loc[point_rows, "t"])
+        count = 1 + hand_parts.max(initial=0)
+        if count == 1 or count != 1 + point_parts.max(initial=0):
+            continue
+        names = np.array([part_name(name, number) for number in range(count)])
+        motion.loc[hand_rows, "trial"] = names[hand_parts]
+        points.loc[point_rows, "trial"] = names[point_parts]
+        notes.append(
+            f"the recordings of trial {name} pause {count - 1} times, and are read as "
+            f"{count} trials"
+        )
+    return motion, points, notes
+
+
+def number_parts(times: pd.Series) -> np.ndarray:
+    """Number the part between pauses of each time, (K,) from 0."""
+    t = times.to_numpy()
+    distinct = np.unique(t[np.isfinite(t)])
+    steps = np.diff(distinct)
+    if not len(steps):
+        return np.zeros(len(t), int)
+    min_pause = max(MIN_PAUSE_S, MIN_PAUSE_STEPS * float(np.median(steps)))
+    starts = distinct[1:][steps > min_pause]
+    return np.searchsorted(starts, t, side="right")
+
+
+def part_name(trial: str, number: int) -> str:
+    """Name a part of a trial; the recordings of one pair of files are all trials."""
+    whole = trial_name("00")
+    return trial_name(f"{number + 1:02d}") if trial == whole else f"{trial}_{number + 1}"
