@@ -24,6 +24,7 @@ MIN_HELD_REPEATS = 4
 # distance of a fixed position from the track, in extents, and its visits
 MIN_AWAY_EXTENT = 0.1
 MIN_RECURRENCES = 3
+FAR_EXTENT = 3.0  # distance in extents of the other samples, for which one run suffices
 MAX_FIXED_POSITIONS = 3  # the most frequent ones are tested
 MIN_AWAY_SHARE = 0.8  # share of visits that begin and end with a jump
 # jump to zero: smallest size [rad] or [m], and ratio to the median step
@@ -124,21 +125,27 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
     if limit == 0:
         return nothing
 
-    # recurring positions and (0, 0), the most frequent first; complex numbers x + iy
-    # are sorted in a quarter of the time of rows (x, y)
+    # repeated positions and (0, 0): the farthest, then the most frequent; complex
+    # numbers x + iy are sorted in a quarter of the time of rows (x, y)
     positions, number, counts = np.unique(
         xy[:, 0] + 1j * xy[:, 1], return_inverse=True, return_counts=True
     )
-    is_zero = positions == 0
-    recurring = np.flatnonzero(is_zero | (counts >= MIN_RECURRENCES))
-    by_frequency = recurring[np.argsort(-counts[recurring])]
+    repeated = np.flatnonzero((positions == 0) | (counts > 1))
+    if not len(repeated):
+        return nothing
+    centre = complex(*np.median(xy, axis=0))
+    distances = np.abs(positions[repeated] - centre)
+    by_distance = repeated[np.argsort(-distances)]
+    by_frequency = repeated[np.argsort(-counts[repeated])]
 
     # a tracker writes the same position for all lost points
-    for candidate in by_frequency[:MAX_FIXED_POSITIONS]:
+    for candidate in [by_distance[0], *by_frequency[:MAX_FIXED_POSITIONS]]:
         mask = number == candidate
+        if mask.all():
+            continue
         visits = find_runs(mask)
-        must_return = not is_zero[candidate]
-        if mask.all() or (must_return and len(visits) < MIN_RECURRENCES):
+        must_return = positions[candidate] != 0 and not _is_far(xy, mask)
+        if must_return and len(visits) < MIN_RECURRENCES:
             continue
         away_count = 0
         for first, last in visits:
@@ -147,6 +154,13 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
             place = positions[candidate]
             return mask, f"({place.real:.4g}, {place.imag:.4g})"
     return nothing
+
+
+def _is_far(xy: np.ndarray, mask: np.ndarray) -> bool:
+    """Return whether one position, where a mask is true, is far from all others."""
+    others = xy[~mask]
+    distance = np.linalg.norm(xy[mask][0] - np.median(others, axis=0))
+    return bool(distance > FAR_EXTENT * track_extent(others))
 
 
 def zero_row_mask(values: np.ndarray) -> np.ndarray:

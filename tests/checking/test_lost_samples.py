@@ -91,6 +91,16 @@ def test_a_fixed_position_is_found(place, share):
     assert named == f"({place[0]:g}, {place[1]:g})"
 
 
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_one_run_at_an_impossible_position_is_found(step):
+    xy = swing(step=step, rest=200)
+    rows = np.arange(300, 303)
+    xy[rows] = -9.999
+    mask, named = fixed_position_mask(xy)
+    assert list(np.flatnonzero(mask)) == list(rows)
+    assert named == "(-9.999, -9.999)"
+
+
 @pytest.mark.parametrize("step", [0.0, 1e-3, 8e-3])
 def test_a_point_that_passes_or_rests_at_the_origin_is_not_lost(step):
     xy = swing(step=step)
