@@ -13,6 +13,7 @@ from stringcast.stages.generate.mesh_correction import MeshCorrection
 from stringcast.stages.generate.repeated_misfit import RepeatedMisfit
 from stringcast.stages.generate.uncertainty_samples import UncertaintySamples
 from stringcast.stages.model.box import Box
+from stringcast.stages.model.engine.kernel_codegen import LANES
 from stringcast.stages.model.hand import JointMotion
 from stringcast.stages.model.model import Model
 from stringcast.stages.model.target import Target
@@ -152,7 +153,8 @@ def predict_outcome(
     """Simulate every motion under every sample, and compare the tip with the target.
 
     Motions of similar duration are simulated together, because a batch takes as long as
-    its longest motion.
+    its longest motion. Their mesh errors are computed for more motions at once than fit
+    into a batch with all samples.
 
     Parameters
     ----------
@@ -172,18 +174,37 @@ def predict_outcome(
     shape = (motions, len(samples))
     outcome = CastOutcome(np.empty(shape), np.empty(shape), np.empty(shape, bool))
     order = np.argsort(curves.duration, kind="stable")
-    batches = min(math.ceil(motions * len(samples) / BATCH_SIZE), motions)
-    for batch in np.array_split(order, batches):
-        batch_curves = curves.select(batch)
-        part = simulate_motions(task, batch_curves, samples).judge(task)
-        outcome.distance[batch] = part.distance
-        outcome.free_share[batch] = part.free_share
-        outcome.hit[batch] = part.hit
+    groups = 1 if task.mesh is None else math.ceil(motions / LANES)
+    for group in np.array_split(order, groups):
+        mesh_errors = find_mesh_errors(task, curves.select(group))
+        batches = min(math.ceil(len(group) * len(samples) / BATCH_SIZE), len(group))
+        for places in np.array_split(np.arange(len(group)), batches):
+            batch = group[places]
+            errors = None if mesh_errors is None else mesh_errors[:, places]
+            motion = simulate_motions(task, curves.select(batch), samples, errors)
+            part = motion.judge(task)
+            outcome.distance[batch] = part.distance
+            outcome.free_share[batch] = part.free_share
+            outcome.hit[batch] = part.hit
     return outcome
 
 
+def find_mesh_errors(task: CastTask, curves: Curves) -> np.ndarray | None:
+    """Compute the mesh error of the tip on M motions, and its uncertainty [m].
+
+    Returns both at T ticks, (2, M, T, 2); None if the task needs no correction. A block
+    of lanes takes as long with one motion as with LANES motions.
+    """
+    if task.mesh is None:
+        return None
+    return np.stack(task.mesh.tip_errors(task.model, curves))
+
+
 def simulate_motions(
-    task: CastTask, curves: Curves, samples: UncertaintySamples
+    task: CastTask,
+    curves: Curves,
+    samples: UncertaintySamples,
+    mesh_errors: np.ndarray | None = None,
 ) -> SimulatedMotions:
     """Simulate each motion under all samples.
 
@@ -197,6 +218,8 @@ def simulate_motions(
         M motions.
     samples : UncertaintySamples
         K samples of the uncertain quantities.
+    mesh_errors : (2, M, T or more, 2) array, optional
+        Result of `find_mesh_errors`, if it is known.
     """
     model = task.model
     motion = sample_joint_motions(model, curves, samples)
@@ -206,8 +229,10 @@ def simulate_motions(
     share = model.string.arc_lengths() / model.string.length
     sigma: float | np.ndarray = samples.tip_sigma
     mesh_error = np.zeros(1)
-    if task.mesh is not None:
-        mesh_error, uncertainty = task.mesh.tip_errors(model, curves)
+    if mesh_errors is None:
+        mesh_errors = find_mesh_errors(task, curves)
+    if mesh_errors is not None:
+        mesh_error, uncertainty = mesh_errors[:, :, : len(times)]
         mesh_error = mesh_error.repeat(len(samples), axis=0)  # (M K, T, 2)
         sigma = np.hypot(sigma, uncertainty)
     errors = mesh_error + tip_errors(task.misfit, curves, sigma, samples.tip_normal)
