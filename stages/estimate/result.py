@@ -162,6 +162,7 @@ def build_estimate(
         "rms_after": rms[1],
         "tip_before": tip[0],
         "tip_after": tip[1],
+        "residual_ratio": comparison.residual_ratio,
         "mesh_error": np.sqrt(np.mean(mesh_squares)),
         "rejected": int((~finite).sum()),
         "sentence": bad_fit or interval.sentence,
@@ -197,6 +198,8 @@ class _Comparison:
     rms, tip_rms
         Root mean square distance of the points, and of the tip, before and after,
         (2,) [m].
+    residual_ratio
+        Root mean square residual over the points' sigma after the estimation.
     last_misfit
         Misfit of the last trial's tip after the estimation.
     """
@@ -204,6 +207,7 @@ class _Comparison:
     matching: pd.DataFrame
     rms: np.ndarray
     tip_rms: np.ndarray
+    residual_ratio: float
     last_misfit: pd.DataFrame
 
 
@@ -216,6 +220,7 @@ def _compare_with_trials(
     """
     frames = []
     squares = []
+    square_ratios = []
     for target in targets:
         trial = target.trial
         _, motion = next(trial.simulate(pair))
@@ -224,11 +229,13 @@ def _compare_with_trials(
         columns = {"trial": trial.name, "t": trial.times, "before": old, "after": new}
         frames.append(pd.DataFrame(columns))
         squares.append([trial.mean_square_distances(points) for points in simulated])
+        square_ratios.append(trial.mean_square_ratio(simulated[1]))
 
     last_misfit = tabulate_misfit(trial, simulated[1], last_mesh_error)
     rms, tip_rms = np.sqrt(np.mean(squares, axis=0)).T
+    residual_ratio = float(np.sqrt(np.mean(square_ratios)))
     matching = pd.concat(frames, ignore_index=True)
-    return _Comparison(matching, rms, tip_rms, last_misfit)
+    return _Comparison(matching, rms, tip_rms, residual_ratio, last_misfit)
 
 
 def tabulate_misfit(

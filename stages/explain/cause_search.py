@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -27,11 +26,11 @@ from stringcast.stages.explain.budget import Budget
 from stringcast.stages.explain.comparer import Comparer
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
+    NOISE_RATIO,
     Causes,
     Comparison,
     explains_half,
     log_prior_odds_of_further_causes,
-    noise_m,
     tip_rms_m,
 )
 from stringcast.stages.explain.noise_ratios import (
@@ -419,23 +418,18 @@ class CauseSearch:
             explains_more = True
             for part, other in comparisons.items():
                 is_part = part and set(part) < set(causes) and other.has_residual
-                if is_part and not explains_half(comparison, other, self.noise_m):
+                if is_part and not explains_half(comparison, other, NOISE_RATIO):
                     explains_more = False
             if explains_more or not comparison.has_residual:
                 kept[causes] = comparison
         return kept
-
-    @cached_property
-    def noise_m(self) -> float:
-        """Distance by which noise alone moves a measured point [m]."""
-        return noise_m(self.comparer.observations)
 
     def leaves_only_noise(self, comparison: Comparison) -> bool:
         """Return whether causes leave only noise in whole trials.
 
         Frames that the mesh does not resolve count as well.
         """
-        return comparison.rms_m <= MAX_NOISE_RATIO * self.noise_m
+        return comparison.residual_ratio <= MAX_NOISE_RATIO
 
     def is_confirmed(self, best: Comparison) -> bool:
         """Return whether causes were likely before and leave only noise in trials.

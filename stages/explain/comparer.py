@@ -16,8 +16,7 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
-from stringcast.stages.common import rms
-from stringcast.stages.explain.comparison import Comparison, bic_penalty, rms_m
+from stringcast.stages.explain.comparison import Comparison, bic_penalty
 from stringcast.stages.inference.covariance import linearise
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.likelihood import Likelihood, time_blocks
@@ -67,8 +66,8 @@ class Comparer:
         The trials.
     base : Comparison
         Comparison of this model with the trials. It may have exponents of more causes.
-    original_rms_m : float
-        Root mean square residual of the original model [m].
+    original_ratio : float
+        Root mean square residual of the original model over the points' sigma.
     blocks : int
         Number of independent blocks of time in the trials.
     fit_model : callable
@@ -80,7 +79,7 @@ class Comparer:
     model: Model
     observations: Sequence[Observation]
     base: Comparison
-    original_rms_m: float
+    original_ratio: float
     blocks: int
     fit_model: Callable[[Model, Sequence[Observation], Estimate | None], Estimate]
     seed: int
@@ -96,19 +95,19 @@ class Comparer:
         """Fit the base with effects, from new starts and from an estimate."""
         extended = self.model.with_effects(*effects)
         fitted = self.fit_model(extended, self.observations, start)
-        return self.compare(effects, rms_m(fitted), fitted)
+        return self.compare(effects, fitted.residual_ratio, fitted)
 
     def compare(
         self,
         effects: Sequence[type[Effect]],
-        residual_m: float,
+        residual_ratio: float,
         estimate: Estimate | None = None,
     ) -> Comparison:
-        """Compute the log evidence of the base with effects from its residual [m]."""
+        """Compute the log evidence of the base with effects from its residual."""
         causes = [*self.base.causes, *(effect.name for effect in effects)]
-        gain = 2 * self.blocks * np.log(self.original_rms_m / residual_m)
+        gain = 2 * self.blocks * np.log(self.original_ratio / residual_ratio)
         evidence = float(gain - bic_penalty(find_effects(causes), self.blocks))
-        return Comparison(tuple(sorted(causes)), evidence, residual_m, estimate)
+        return Comparison(tuple(sorted(causes)), evidence, residual_ratio, estimate)
 
     def linear_mean_square(self, effect: type[Effect]) -> float:
         """Compute the mean square residual with an effect in linear approximation.
@@ -177,27 +176,23 @@ class Comparer:
             corrected, chi[None], SCREENING_ITERATIONS, self._min_gain
         )
         refined = runs.chi[0]
-        residual_m = self._residual_at_mesh_limit(hypothesis, refined)
-        compared = self.compare(hypothesis.causes, residual_m)
+        ratio = self._residual_at_mesh_limit(hypothesis, refined)
+        compared = self.compare(hypothesis.causes, ratio)
         exponents = dict(zip(hypothesis.model.names, refined.tolist(), strict=True))
         return replace(compared, screened=exponents)
 
     def _residual_at_mesh_limit(self, hypothesis: Hypothesis, chi: np.ndarray) -> float:
-        """Compute the root mean square residual at exponents (P,) [m].
+        """Compute the root mean square residual over sigma at exponents (P,).
 
         The string has a far finer mesh, or the given one if this leaves less, as in
         `mesh_limit.refine_at_mesh_limit`.
         """
-        residuals_m = []
+        mean_squares = []
         for factor in (1, REFERENCE_REFINEMENT):
             string = self._likelihood_on_mesh(hypothesis, factor)
             residuals = string.residuals_by_trial(chi[None])
-            distances = []
-            for trial, residual in zip(string.data.trials, residuals, strict=True):
-                errors = residual.reshape(-1, 2) * trial.sigma[:, None]
-                distances.append(np.hypot(*errors.T))
-            residuals_m.append(rms(np.concatenate(distances)))
-        return min(residuals_m)
+            mean_squares.append(np.mean([np.mean(r**2) for r in residuals]))
+        return float(np.sqrt(min(mean_squares)))
 
     def _draw_probes(
         self, hypothesis: Hypothesis, effect: type[Effect], absent: np.ndarray

@@ -3,10 +3,12 @@
 The log evidence is that of the Bayesian information criterion [1]_, as a gain over the
 original model:
 
-    log evidence = 2 n ln(rms_0 / rms) - p / 2 ln(n)
+    log evidence = 2 n ln(r_0 / r) - p / 2 ln(n)
 
 n is the number of independent blocks of time, of two coordinates each. p is the number
-of parameters of the causes. rms and rms_0 are the residuals with and without them.
+of parameters of the causes. r and r_0 are the root mean square residuals over the
+points' sigma, with and without them. In distances, a few poorly read frames of a film
+would hide the rest.
 
 References
 ----------
@@ -19,15 +21,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pandas as pd
 
-from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
 from stringcast.stages.diagnose.evidence.probabilities import PRIOR_NO_EFFECT
 from stringcast.stages.model.effect import Effect
 
 Causes = tuple[str, ...]  # names of effects that act together, sorted
 NO_CAUSE: Causes = ()
+NOISE_RATIO = 1.0  # residual over sigma of noise alone
 MIN_EXPLAINED_FRACTION = 0.5  # of the mean square misfit, for a cause to be named
 
 
@@ -39,8 +40,8 @@ class Comparison:
     ----------
     causes : names of the effects; empty for the original model
     log_evidence : gain over the original model
-    rms_m : root mean square residual of the centre-line [m]; NaN if the causes were
-        neither screened nor fitted in these trials
+    residual_ratio : root mean square residual over the points' sigma; NaN if the
+        causes were neither screened nor fitted in these trials
     estimate : estimate with the causes, if they were fitted
     screened : exponents by name if the causes were not fitted: after the screening, or
         of a fit with more causes
@@ -48,14 +49,14 @@ class Comparison:
 
     causes: Causes
     log_evidence: float
-    rms_m: float
+    residual_ratio: float
     estimate: Estimate | None = None
     screened: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def has_residual(self) -> bool:
         """Whether the residual in these trials is known; else it is NaN."""
-        return not np.isnan(self.rms_m)
+        return not np.isnan(self.residual_ratio)
 
     @property
     def exponents(self) -> Mapping[str, float]:
@@ -70,8 +71,9 @@ class Comparison:
 
         blocks: number of independent blocks of time.
         """
-        residual_m = self.rms_m * float(np.exp(-0.5 * gain / blocks))
-        return replace(self, log_evidence=self.log_evidence + gain, rms_m=residual_m)
+        ratio = self.residual_ratio * float(np.exp(-0.5 * gain / blocks))
+        evidence = self.log_evidence + gain
+        return replace(self, log_evidence=evidence, residual_ratio=ratio)
 
 
 def bic_penalty(effects: Sequence[type[Effect]], blocks: int) -> float:
@@ -92,12 +94,7 @@ def log_prior_odds_of_further_causes(causes: Causes, candidates: int) -> float:
 
 def without_causes(estimate: Estimate) -> Comparison:
     """Return the comparison of the original model."""
-    return Comparison(NO_CAUSE, 0.0, rms_m(estimate), estimate)
-
-
-def rms_m(estimate: Estimate) -> float:
-    """Return the root mean square residual of the centre-line [m]."""
-    return float(estimate.fit["rms_after"].iloc[0])
+    return Comparison(NO_CAUSE, 0.0, estimate.residual_ratio, estimate)
 
 
 def tip_rms_m(estimate: Estimate | None) -> float:
@@ -105,19 +102,13 @@ def tip_rms_m(estimate: Estimate | None) -> float:
     return np.nan if estimate is None else float(estimate.fit["tip_after"].iloc[0])
 
 
-def noise_m(observations: Sequence[Observation]) -> float:
-    """Return the distance by which noise alone moves a measured point [m]."""
-    sigma = pd.concat([observation.points["sigma"] for observation in observations])
-    return float(np.sqrt(2) * sigma.median())
-
-
 def explains_half(
-    comparison: Comparison, base: Comparison, noise_rms_m: float = 0.0
+    comparison: Comparison, base: Comparison, noise_ratio: float = 0.0
 ) -> bool:
     """Return whether causes explain half of the mean square misfit of a base.
 
-    noise_rms_m: noise, which is not counted as misfit [m].
+    noise_ratio: noise over sigma, which is not counted as misfit.
     """
-    misfit = base.rms_m**2 - noise_rms_m**2
-    remaining = comparison.rms_m**2 - noise_rms_m**2
+    misfit = base.residual_ratio**2 - noise_ratio**2
+    remaining = comparison.residual_ratio**2 - noise_ratio**2
     return remaining <= (1 - MIN_EXPLAINED_FRACTION) * misfit

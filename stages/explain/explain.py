@@ -33,8 +33,6 @@ from stringcast.stages.explain.comparison import (
     Causes,
     Comparison,
     explains_half,
-    noise_m,
-    rms_m,
     without_causes,
 )
 from stringcast.stages.explain.decision import (
@@ -122,7 +120,8 @@ def explain(
         iterations=iterations,
         matching=matching,
     )
-    comparer = Comparer(model, observations, base, base.rms_m, blocks, fit_model, seed)
+    ratio = base.residual_ratio
+    comparer = Comparer(model, observations, base, ratio, blocks, fit_model, seed)
     fitted = {NO_CAUSE: base}
     rivals: list[Finalist] = []
     if previous is not None and earlier:
@@ -151,7 +150,7 @@ def explain(
         "candidates": len(effects),
         "fitted": len(fits) - 1,
         "sentence": sentence,
-        "rms_without": rms_m(estimate),
+        "rms_without": estimate.model_error_m,
     }
     if verdict == "none":
         evidence = replace(evidence, probabilities={NO_CAUSE: 1.0})
@@ -192,7 +191,7 @@ def reason_for_no_search(
     model: Model, observations: Sequence[Observation], estimate: Estimate
 ) -> str:
     """Return why an estimate needs no cause; empty if it may need one."""
-    if rms_m(estimate) <= MISFIT_RATIO * noise_m(observations):
+    if estimate.residual_ratio <= MISFIT_RATIO:
         return "The model explains the trials"
     noise_ratios = compare_with_noise(model, observations, [estimate])
     if noise_ratios.leave_only_mesh_error:

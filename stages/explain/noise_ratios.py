@@ -11,16 +11,12 @@ from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
 from stringcast.stages.common import rms
 from stringcast.stages.explain.comparer import SCREENING_ITERATIONS
-from stringcast.stages.explain.comparison import (
-    MIN_EXPLAINED_FRACTION,
-    noise_m,
-    rms_m,
-)
+from stringcast.stages.explain.comparison import MIN_EXPLAINED_FRACTION, NOISE_RATIO
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
-    discretisation_error,
+    discretisation_errors,
     resolved_frames,
-    uncertain_discretisation_error,
+    uncertain_discretisation_errors,
     with_corrected_points,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -88,8 +84,11 @@ def compare_with_noise(
     """
     fits = [likelihood_at(model, observations, estimate) for estimate in estimates]
     counts = []  # resolved frames of each trial, (K,)
-    for likelihood, chi in fits:
-        counts.append(resolved_frames(likelihood, chi, MAX_MESH_ERROR_RATIO))
+    errors = []  # mesh errors over sigma of each trial
+    for (likelihood, chi), estimate in zip(fits, estimates, strict=True):
+        errors = remaining_mesh_errors(likelihood, chi, estimate)
+        trials = likelihood.data.trials
+        counts.append(resolved_frames(trials, errors, MAX_MESH_ERROR_RATIO))
     common_counts = np.min(counts, axis=0)
     residuals = []
     for likelihood, chi in fits:
@@ -100,20 +99,19 @@ def compare_with_noise(
     if (counts[-1] > common_counts).any():
         own_residual = first_frames_residual(likelihood, chi, counts[-1])
         with_causes = max(with_causes, own_residual)
-    fraction = mesh_fraction(likelihood, chi, estimates[-1], observations)
+    misfit = estimates[-1].residual_ratio ** 2 - NOISE_RATIO**2
+    mesh_square = float(np.mean([np.mean(error**2) for error in errors]))
+    fraction = mesh_square / max(misfit, float(np.finfo(float).tiny))
     return NoiseRatios(residuals[0], with_causes, fraction)
 
 
-def mesh_fraction(
-    likelihood: Likelihood,
-    chi: np.ndarray,
-    estimate: Estimate,
-    observations: Sequence[Observation],
-) -> float:
-    """Compute the mean square mesh error over the mean square residual beyond noise.
+def remaining_mesh_errors(
+    likelihood: Likelihood, chi: np.ndarray, estimate: Estimate
+) -> list[np.ndarray]:
+    """Compute the mesh error over sigma that an estimate leaves in each trial, (2 n,).
 
-    If the estimate subtracted the error, only the part counts on which meshes disagree.
-    NaN if a finer string diverges.
+    If the estimate subtracted the error, only the part remains on which meshes
+    disagree. NaN if a finer string diverges.
 
     Parameters
     ----------
@@ -122,17 +120,11 @@ def mesh_fraction(
     chi : numpy.ndarray, shape (P,)
         Exponents of the estimate.
     estimate : Estimate
-        The estimate, for its residual.
-    observations : sequence of Observation
-        The same trials, for their noise.
+        The estimate.
     """
-    misfit = rms_m(estimate) ** 2 - noise_m(observations) ** 2
-    is_subtracted = estimate.mesh_error_m > 0
-    find_error = (
-        uncertain_discretisation_error if is_subtracted else discretisation_error
-    )
-    error = find_error(likelihood, chi)
-    return error**2 / max(misfit, float(np.finfo(float).tiny))
+    if estimate.mesh_error_m > 0:
+        return uncertain_discretisation_errors(likelihood, chi)
+    return discretisation_errors(likelihood, chi)
 
 
 def first_frames_residual(

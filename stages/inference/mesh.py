@@ -45,19 +45,28 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
-def uncertain_discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
-    """Compute the part of the discretisation error on which three meshes disagree.
+def discretisation_errors(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
+    """Compute the discretisation error over sigma of each trial, (2 n,).
 
-    Returns the root mean square at the measured points [m], at parameters (P,); NaN if
-    a simulation diverges.
+    It is NaN at parameters (P,) where a simulation diverges.
+    """
+    errors = []
+    pairs = zip(likelihood.data.trials, _errors_by_trial(likelihood, chi), strict=True)
+    for trial, error in pairs:
+        errors.append((error / trial.sigma[:, None]).ravel())
+    return errors
+
+
+def uncertain_discretisation_errors(
+    likelihood: Likelihood, chi: np.ndarray
+) -> list[np.ndarray]:
+    """Compute what three meshes disagree on, over sigma of each trial, (2 n,).
+
+    It is NaN at parameters (P,) where a simulation diverges.
     """
     trials = likelihood.data.trials
     _, uncertainties = extrapolate_errors(likelihood.model, trials, chi)
-    squares = []
-    for trial, uncertainty in zip(trials, uncertainties, strict=True):
-        errors = uncertainty.reshape(-1, 2) * trial.sigma[:, None]
-        squares.append(np.sum(errors**2, axis=1))
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
+    return uncertainties
 
 
 def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood:
@@ -74,7 +83,7 @@ def with_corrected_points(likelihood: Likelihood, chi: np.ndarray) -> Likelihood
 
 
 def resolved_frames(
-    likelihood: Likelihood, chi: np.ndarray, max_error: float
+    trials: Sequence[PreparedTrial], errors: Sequence[np.ndarray], max_error: float
 ) -> np.ndarray:
     """Count the frames of each trial before its discretisation error is large, (K,).
 
@@ -83,17 +92,16 @@ def resolved_frames(
 
     Parameters
     ----------
-    likelihood
-        The trials and their mesh.
-    chi
-        Exponents of the parameters, (P,).
+    trials
+        The trials.
+    errors
+        Error over sigma of each trial, (2 n,).
     max_error
         Largest root mean square error of a frame's coordinates over sigma.
     """
     counts = []
-    errors = _errors_by_trial(likelihood, chi)
-    for trial, error in zip(likelihood.data.trials, errors, strict=True):
-        squares = np.mean((error / trial.sigma[:, None]) ** 2, axis=1)  # (n,)
+    for trial, error in zip(trials, errors, strict=True):
+        squares = np.mean(error.reshape(-1, 2) ** 2, axis=1)  # (n,)
         sums = np.bincount(trial.frame, squares)
         is_resolved = sums <= max_error**2 * np.bincount(trial.frame)
         is_large = np.append(~is_resolved, True)  # also if NaN

@@ -173,6 +173,14 @@ class PreparedTrial:
         distance /= self.sigma[:, None]
         return np.asarray(distance.reshape(len(points), -1))
 
+    def mean_square_ratio(self, simulated: np.ndarray) -> float:
+        """Compute the mean square residual over sigma of simulated points (N, 2).
+
+        Unlike a distance, it is not dominated by frames that were read poorly.
+        """
+        residuals = self.normalised_residuals(simulated[None])
+        return float(np.mean(residuals**2))
+
     @cached_property
     def simulation_digest(self) -> str:
         """A digest of all inputs of the points' simulation except the model."""

@@ -56,10 +56,16 @@ EXPLAIN = "stringcast.stages.explain.explain"
 
 
 def fitted_comparison(names, log_evidence, rms_m):
-    fit = pd.DataFrame([{"rms_after": rms_m, "tip_after": rms_m}])
+    """Return a comparison by a fit that leaves a residual, with noise of 1 mm."""
+    fit = pd.DataFrame([{"tip_after": rms_m}])
     parameters = pd.DataFrame([{"name": "linear_drag", "chi": 0.5}])
-    estimate = SimpleNamespace(fit=fit, parameters=parameters)
-    return Comparison(tuple(names.split()), log_evidence, rms_m, estimate)
+    estimate = SimpleNamespace(
+        fit=fit,
+        parameters=parameters,
+        residual_ratio=1e3 * rms_m,
+        model_error_m=rms_m,
+    )
+    return Comparison(tuple(names.split()), log_evidence, 1e3 * rms_m, estimate)
 
 
 def verdict_on(
@@ -280,14 +286,14 @@ def search(monkeypatch):
     def screen(comparer, effect):
         bases.append(comparer.base.causes)
         left_mm = residual_mm([*comparer.base.causes, effect.name])
-        return comparer.compare((effect,), 1e-3 * left_mm)
+        return comparer.compare((effect,), left_mm)
 
     def fit(comparer, effects, start):
         causes = [*comparer.base.causes, *(effect.name for effect in effects)]
         fits.append(tuple(sorted(causes)))
-        left_m = 1e-3 * residual_mm(causes)
+        left_mm = residual_mm(causes)
         return comparer.compare(
-            effects, left_m, fitted_comparison("", 0.0, left_m).estimate
+            effects, left_mm, fitted_comparison("", 0.0, 1e-3 * left_mm).estimate
         )
 
     def compare(search, comparison):
@@ -300,7 +306,7 @@ def search(monkeypatch):
     monkeypatch.setattr(
         Comparer,
         "screen_base",
-        lambda self: self.compare((), 1e-3 * residual_mm(self.base.causes)),
+        lambda self: self.compare((), residual_mm(self.base.causes)),
     )
     monkeypatch.setattr(
         Comparer,
@@ -311,10 +317,8 @@ def search(monkeypatch):
     monkeypatch.setattr(CauseSearch, "noise_ratios_of", compare)
 
     def begin(names, seconds=1e6):
-        points = pd.DataFrame({"sigma": [1e-3 / np.sqrt(2)]})
         base = fitted_comparison("", 0.0, 0.01)
-        trials = [SimpleNamespace(points=points)]
-        comparer = Comparer(None, trials, base, base.rms_m, 30, None, 0)
+        comparer = Comparer(None, [], base, base.residual_ratio, 30, None, 0)
         budget = Budget(seconds, lambda share: None)
         effects = find_effects(names.split())
         return CauseSearch(comparer, effects, {NO_CAUSE: base}, 4, TOLERANCE_M, budget)
@@ -432,7 +436,7 @@ def test_causes_are_exchanged_though_more_causes_are_more_probable(search, monke
     two = searched.comparer.fit(find_effects(["gravity_direction", "tip_mass"]), None)
     searched.fitted[two.causes] = two
     three = ("gravity_direction", "rest_curvature", "tip_mass")
-    compared = Comparison(three, two.log_evidence + 6.0, 0.95e-3)
+    compared = Comparison(three, two.log_evidence + 6.0, 0.95)
     finalist = Finalist(find_effects(["rest_curvature"]), searched.comparer, compared)
     searched.screenings[two.causes] = Screening([finalist])
     searched.run()
@@ -539,7 +543,7 @@ def test_a_rival_of_earlier_trials_that_is_right_helps_no_other(search):
     searched.screen(searched.comparer.base)
     searched.fit(searched.rivals[0])
     assert searched.best.causes == ("tip_mass",)
-    expected = searched.comparer.compare(find_effects(["wind"]), 5.3e-3)
+    expected = searched.comparer.compare(find_effects(["wind"]), 5.3)
     found = searched.comparisons()["wind",]
     assert found.log_evidence == pytest.approx(expected.log_evidence)
 
@@ -734,7 +738,7 @@ def explain_and_list(monkeypatch, arm, camera, observe):
         monkeypatch.setattr(CauseSearch, "screen", screen)
         monkeypatch.setattr(Comparer, "fit", lambda *given: found)
         monkeypatch.setattr(
-            Comparer, "screen_base", lambda self: self.compare((), left_m)
+            Comparer, "screen_base", lambda self: self.compare((), 1e3 * left_m)
         )
         ratios = NoiseRatios(10.0, ratio, mesh_fraction)
         monkeypatch.setattr(CauseSearch, "noise_ratios_of", lambda *given: ratios)
@@ -805,8 +809,7 @@ def test_search_starts_if_noise_and_mesh_do_not_explain_the_residual(
     """The misfit of the tip may be small."""
     ratios = NoiseRatios(1.0, 1.0, mesh_fraction)
     monkeypatch.setattr(f"{EXPLAIN}.compare_with_noise", lambda *given: ratios)
-    left_m = noises * np.sqrt(2) * NOISE_M
-    found = explain_and_list(left_m, None, is_surprising=is_surprising)
+    found = explain_and_list(1e-3 * noises, None, is_surprising=is_surprising)
     assert found == ([NO_CAUSE] if is_search_expected else [])
 
 
@@ -880,10 +883,9 @@ def true_estimate(model):
     for parameter in model.parameters:
         value = np.asarray(true.get(parameter.name, parameter.start))
         rows.append({"name": parameter.name, "chi": float(parameter.chi(value))})
-    fit = pd.DataFrame([{"rms_after": 0.002}])
     parameters = pd.DataFrame(rows)
     return SimpleNamespace(
-        parameters=parameters, values=dict, fit=fit, mesh_error_m=0.0
+        parameters=parameters, values=dict, residual_ratio=2.0, mesh_error_m=0.0
     )
 
 
@@ -914,8 +916,7 @@ def test_unresolved_frames_give_no_evidence_of_a_cause(arm, camera, observe, hid
     (chi,) = fit_least_squares(likelihood, true_chi[None]).chi
     estimate.parameters["chi"] = chi
     assert corrected_residual(likelihood, chi) > 2
-    left = rms(likelihood.residuals(chi[None])[0]) * np.sqrt(2) * NOISE_M
-    estimate.fit = pd.DataFrame([{"rms_after": left}])
+    estimate.residual_ratio = rms(likelihood.residuals(chi[None])[0])
     ratios = compare_with_noise(model, [observation], [estimate])
     assert ratios.leave_only_noise == (not hidden)
     assert ratios.leave_only_mesh_error == (not hidden)
@@ -951,9 +952,9 @@ def comparer_of(model, observation):
     likelihood = Likelihood(TrialData((prepare_trial(model, observation),)), model)
     chi = estimate.parameters["chi"].to_numpy()
     fine = likelihood_on_mesh(likelihood, 4)
-    left_m = rms(fine.residuals(chi[None])) * np.sqrt(2) * NOISE_M
-    base = Comparison(NO_CAUSE, 0.0, left_m, estimate)
-    return Comparer(model, [observation], base, left_m, BLOCKS, None, seed=0)
+    ratio = rms(fine.residuals(chi[None]))
+    base = Comparison(NO_CAUSE, 0.0, ratio, estimate)
+    return Comparer(model, [observation], base, ratio, BLOCKS, None, seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -1000,7 +1001,9 @@ def test_linear_approximation_agrees_with_iterations_for_a_small_effect(
     (effect, absent) = find_effects([cause, "pixel_scale"])
     explained = compare.linear_mean_square(effect) / compare.linear_mean_square(absent)
     assert explained < 0.7
-    refined = compare.screen(effect).rms_m / compare.screen(absent).rms_m
+    refined = (
+        compare.screen(effect).residual_ratio / compare.screen(absent).residual_ratio
+    )
     assert np.sqrt(explained) == pytest.approx(refined, abs=0.02)
 
 
@@ -1120,7 +1123,7 @@ def test_part_of_causes_is_compared_without_the_others(arm, camera, observe):
     assert alone.causes == ("tip_mass",)
     added = compare.screen(tip_mass)
     assert alone.log_evidence == pytest.approx(added.log_evidence, abs=1.0)
-    assert alone.rms_m < 1.1 * np.sqrt(2) * NOISE_M
+    assert alone.residual_ratio < 1.1
 
 
 def perform_casts(method, *overrides):
@@ -1192,18 +1195,22 @@ def test_miss_is_corrected_without_knowing_its_cause(where, hidden):
 
 @pytest.mark.parametrize(("subtracted_m", "expected"), [(0.0, 0.25), (1e-3, 1 / 16)])
 def test_only_the_uncertain_part_of_a_subtracted_mesh_error_is_left(
-    monkeypatch, subtracted_m, expected
+    monkeypatch, arm, camera, observe, subtracted_m, expected
 ):
-    """A mesh error of 2 mm is a quarter of the mean square of 4 mm beyond noise.
+    """A mesh error of twice sigma is a quarter of a mean square of 16 beyond noise.
 
-    Of a subtracted error, three meshes disagree on 1 mm.
+    Of a subtracted error, three meshes disagree on as much as sigma.
     """
-    monkeypatch.setattr(noise_ratios, "discretisation_error", lambda *given: 2e-3)
-    monkeypatch.setattr(
-        noise_ratios, "uncertain_discretisation_error", lambda *given: 1e-3
-    )
-    monkeypatch.setattr(noise_ratios, "rms_m", lambda estimate: 5e-3)
-    monkeypatch.setattr(noise_ratios, "noise_m", lambda observations: 3e-3)
-    estimate = SimpleNamespace(mesh_error_m=subtracted_m)
-    found = noise_ratios.mesh_fraction(None, None, estimate, ())
-    assert found == pytest.approx(expected)
+    for name, ratio in (
+        ("discretisation_errors", 2.0),
+        ("uncertain_discretisation_errors", 1.0),
+    ):
+        errors = [np.full(2, ratio)]
+        monkeypatch.setattr(noise_ratios, name, lambda *given, errors=errors: errors)
+    monkeypatch.setattr(noise_ratios, "resolved_frames", lambda *given: np.array([2]))
+    model = Model(implicit_string(12, 1e-3), arm, camera)
+    estimate = true_estimate(model)
+    estimate.residual_ratio = np.sqrt(17)
+    estimate.mesh_error_m = subtracted_m
+    ratios = compare_with_noise(model, [observe({})], [estimate])
+    assert ratios.mesh_fraction == pytest.approx(expected)

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from conftest import rms_distance, simulated_points
 
+from stringcast.stages.common import rms
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
     discretisation_error,
+    discretisation_errors,
     mesh_ladder,
     resolved_frames,
-    uncertain_discretisation_error,
+    uncertain_discretisation_errors,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
@@ -76,12 +78,15 @@ def test_meshes_disagree_only_where_they_do_not_resolve_the_string(cast_set):
     chi = parameter_exponents(model().parameters, cast_set.truth)
     whole = [likelihood(cast_set, *mesh) for mesh in ((20, 1e-3), (39, 5e-4))]
     begun = [mesh.cut_after_onset(0.4) for mesh in whole]
-    coarse, fine = (uncertain_discretisation_error(mesh, chi) for mesh in begun)
-    assert coarse / fine > 8
+
+    def uncertain_rms(mesh):
+        return rms(np.concatenate(uncertain_discretisation_errors(mesh, chi)))
+
+    assert uncertain_rms(begun[0]) / uncertain_rms(begun[1]) > 8
     shares = []
-    for trials in (begun[0], whole[0]):
-        uncertain = uncertain_discretisation_error(trials, chi)
-        shares.append(uncertain / discretisation_error(trials, chi))
+    for mesh in (begun[0], whole[0]):
+        error = np.concatenate(discretisation_errors(mesh, chi))
+        shares.append(uncertain_rms(mesh) / rms(error))
     assert shares[0] < 0.2 < shares[1]
 
 
@@ -89,7 +94,8 @@ def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
     """A mesh with four times as many segments replaces the limit."""
     coarse, fine = likelihood(cast_set, 20, 1e-3), likelihood(cast_set, 77, 2.5e-4)
     chi = parameter_exponents(coarse.parameters, cast_set.truth)
-    counts = resolved_frames(coarse, chi, 1.0)
+    errors = discretisation_errors(coarse, chi)
+    counts = resolved_frames(coarse.data.trials, errors, 1.0)
     trials = zip(coarse.data.trials, fine.data.trials, counts, strict=True)
     for trial, finer, count in trials:
         error = simulated_points(trial, cast_set.truth)

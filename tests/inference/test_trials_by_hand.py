@@ -116,6 +116,17 @@ def test_distances_are_of_all_points_and_of_those_nearest_the_tip():
     assert trial.mean_square_distances(trial.points + away) == (29 / 8, 4 / 4)
 
 
+def test_residuals_are_weighed_by_the_uncertainty_of_the_points():
+    trial = lying_trial()
+    sigma = np.full(8, 0.1)
+    sigma[0] = 10.0
+    trial = replace(trial, sigma=sigma)
+    away = np.zeros((8, 2))
+    away[0] = 30.0, 40.0
+    away[7] = 0.0, 0.2
+    assert trial.mean_square_ratio(trial.points + away) == pytest.approx(29 / 16)
+
+
 def test_candidates_are_simulated_in_chunks_with_their_own_states(monkeypatch):
     monkeypatch.setattr(prepared_trial, "MAX_BATCH_CANDIDATES", 2)
     calls = []
