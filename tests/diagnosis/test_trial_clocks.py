@@ -6,46 +6,66 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import measured_sample
+from conftest import TRUTH, ordinary
+from synthetic_trials import simulate_trial, swing_angles
 
-from stringcast.pipeline.commands.clock_fit import plain_model
 from stringcast.stages.diagnose import diagnose
 from stringcast.stages.diagnose.clocks import trial_clocks
 from stringcast.stages.diagnose.clocks.trial_clocks import find_trial_clocks
 from stringcast.stages.diagnose.results.document import clocks_document
-from stringcast.stages.diagnose.trials.preparation import prepare_data
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
+from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.verdict import Judgement, Verdict
 from stringcast.stages.inference.hypothesis import Hypothesis
 from stringcast.stages.inference.laplace import fit_hypothesis
+from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.effects.time_offset import TimeOffset
 from stringcast.stages.model.effects.wind import Wind
 
-CHECKED = measured_sample()  # it hides a wind
-MODEL = plain_model(CHECKED)
-
-
-def prepare(change):
-    """Prepare three trials of the sample, with points changed by trial number."""
-    changed = []
-    for number, seen in enumerate(CHECKED.trials[:3]):
-        points = change(number, seen.points)
-        changed.append(replace(seen.observation, points=points))
-    rng = np.random.default_rng(0)
-    return prepare_data(MODEL, changed, 2e-3, rng, 2, lambda share: None)
-
-
+PLACES = np.array([8, 14, 20])  # numbers of mass points
+WIND_M_S = 0.3
 LATE_S = (0.0, 0.0135, -0.0107)  # advance of the camera's clock in each trial
 
 
 @pytest.fixture(scope="module")
-def with_own_clocks():
-    return prepare(lambda k, points: points.assign(t=points["t"] + LATE_S[k]))
+def model(arm):
+    return with_second_order_mesh(ordinary(arm))
+
+
+@pytest.fixture(scope="module")
+def fit_swings(arm, model):
+    """Return a function that fits the base model to swings in a wind.
+
+    It takes a change of the points by trial number, and returns data and fit.
+    """
+
+    def fit(change):
+        windy = model.with_effects(Wind)
+        truth = TRUTH | {"wind.along_x": WIND_M_S, "wind.along_y": 0.0}
+        rng = np.random.default_rng(0)
+        trials = []
+        for k, angles in enumerate(swing_angles(arm, 3)):
+            seen = simulate_trial(f"t{k:02}", arm, windy, truth, angles, PLACES, rng)
+            changed = replace(seen, points=change(k, seen.points))
+            trials.append(prepare_trial(model, changed))
+        base = Hypothesis(model)
+        start = model.exponents_of_values(TRUTH)
+        data = attach_discrepancy_model(trials, base, start)
+        no_discrepancy = np.zeros(len(trials), dtype=int)
+        return data, fit_hypothesis(data, base, start[None], no_discrepancy)
+
+    return fit
+
+
+@pytest.fixture(scope="module")
+def with_own_clocks(fit_swings):
+    return fit_swings(lambda k, points: points.assign(t=points["t"] + LATE_S[k]))
 
 
 def test_clocks_that_differ_by_a_few_frames_are_found_from_the_base_model(
     with_own_clocks,
 ):
-    found = find_trial_clocks(with_own_clocks.data, with_own_clocks.base_fit)
+    found = find_trial_clocks(*with_own_clocks)
     for late_s, interval in zip(LATE_S, found.values(), strict=True):
         assert interval.low < -late_s < interval.high
     document = clocks_document(found)
@@ -55,8 +75,7 @@ def test_clocks_that_differ_by_a_few_frames_are_found_from_the_base_model(
 
 
 def test_clocks_are_exact_if_the_fit_has_the_cause_that_is_active(with_own_clocks):
-    data = with_own_clocks.data
-    base = with_own_clocks.base_fit
+    data, base = with_own_clocks
     hypothesis = Hypothesis(base.hypothesis.base, (Wind,))
     start = hypothesis.exponents_from(base.exponents)
     fit = fit_hypothesis(data, hypothesis, start[None], base.grid_points)
@@ -66,7 +85,7 @@ def test_clocks_are_exact_if_the_fit_has_the_cause_that_is_active(with_own_clock
 
 
 @pytest.mark.parametrize("acceleration_m_s2", [0.0, 3.5])
-def test_trials_with_one_clock_do_not_differ(acceleration_m_s2):
+def test_trials_with_one_clock_do_not_differ(acceleration_m_s2, fit_swings):
     """Neither the hidden wind nor an unknown push after 0.25 s looks like clocks."""
 
     def push(number, points):
@@ -74,28 +93,27 @@ def test_trials_with_one_clock_do_not_differ(acceleration_m_s2):
         push_m = (acceleration_m_s2 + 0.3 * number) / 2 * since_onset_s**2
         return points.assign(x=points["x"] + push_m * points["s"] / points["s"].max())
 
-    prepared = prepare(push)
-    assert find_trial_clocks(prepared.data, prepared.base_fit) is None
+    assert find_trial_clocks(*fit_swings(push)) is None
 
 
 def test_the_clock_of_one_trial_is_not_fitted(with_own_clocks, monkeypatch):
     """It differs from no other one."""
-    data = with_own_clocks.data.subset([0])
+    data, fit = with_own_clocks
     fitted = []
     monkeypatch.setattr(
         trial_clocks, "fit_hypothesis", lambda *given: fitted.append(given)
     )
-    assert find_trial_clocks(data, with_own_clocks.base_fit) is None
+    assert find_trial_clocks(data.subset([0]), fit) is None
     assert not fitted
 
 
 @pytest.mark.parametrize(
-    ("misfit_probability", "model", "is_asked"),
-    [(0.9, MODEL, True), (0.0, MODEL, False), (0.9, MODEL.with_effects(TimeOffset), 0)],
+    ("misfit_probability", "effects", "is_asked"),
+    [(0.9, (), True), (0.0, (), False), (0.9, (TimeOffset,), False)],
 )
 @pytest.mark.parametrize("named", [(), ("wind",)])
 def test_clocks_are_compared_with_the_named_causes_if_misfit_remains(
-    misfit_probability, model, is_asked, named, monkeypatch
+    misfit_probability, effects, is_asked, named, model, monkeypatch
 ):
     """Clocks that are in the model are known."""
     used = []
@@ -106,6 +124,6 @@ def test_clocks_are_compared_with_the_named_causes_if_misfit_remains(
     judgement = Judgement(verdict, None, (), "base fit", ())
     with_wind = SimpleNamespace(hypothesis=SimpleNamespace(cause_names=("wind",)))
     state = diagnose.SelectionState(SimpleNamespace(data=None), with_wind)
-    settings = SimpleNamespace(model=model)
+    settings = SimpleNamespace(model=model.with_effects(*effects))
     diagnose._with_trial_clocks(state, judgement, settings)
     assert used == ([with_wind if named else "base fit"] if is_asked else [])
