@@ -39,7 +39,7 @@ def split_at_pauses(
 
 
 def number_parts(times: pd.Series) -> np.ndarray:
-    """Number the part between pauses of each time, (K,) from 0."""
+    """Return the number of the part of each time, (K,) from 0; pauses divide parts."""
     t = times.to_numpy()
     distinct = np.unique(t[np.isfinite(t)])
     steps = np.diff(distinct)
@@ -52,5 +52,6 @@ def number_parts(times: pd.Series) -> np.ndarray:
 
 def part_name(trial: str, number: int) -> str:
     """Name a part of a trial; the recordings of one pair of files are all trials."""
-    whole = trial_name("00")
-    return trial_name(f"{number + 1:02d}") if trial == whole else f"{trial}_{number + 1}"
+    if trial == trial_name("00"):
+        return trial_name(f"{number + 1:02d}")
+    return f"{trial}_{number + 1}"
