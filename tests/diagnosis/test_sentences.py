@@ -45,7 +45,10 @@ def test_an_amplitude_at_an_end_of_its_range_is_not_a_finding(name, chi, is_insi
     assert is_inside_range(fit, effect) == is_inside
 
 
-PLACE = "most of it in trial b (100 %), largest at 0.20 s, 0.30 m along the string."
+PLACE = (
+    "most of it in trial b (20.0 mm there, 100 % of the whole), largest at 0.20 s, "
+    "0.30 m along the string."
+)
 LATE = 3 * len(DISCREPANCY_SCALES_M)  # a grid point that begins in the middle
 CONSTANT = (COURSE_COUNT - 1) * len(DISCREPANCY_SCALES_M)  # of constant size
 

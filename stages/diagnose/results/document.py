@@ -194,7 +194,7 @@ def _course_sentence(grid_points: np.ndarray) -> str:
 
 
 def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
-    """State in which trial, when and where along the string the misfit is largest."""
+    """State the trial with the largest misfit, and when and where it is largest."""
     tip_rms = unexplained_tip_rms(data, fit)
     k = int(np.argmax(tip_rms))
     trial = data.trials[k]
@@ -205,7 +205,8 @@ def _largest_misfit_sentence(data: TrialData, fit: Fit) -> str:
     onset_s = onset_time(trial.times, fit.grid_points[k])
     begins = f"from {onset_s:.2f} s on, " if onset_s > trial.times[0] else ""
     return (
-        f"most of it in trial {trial.name} ({100 * share:.0f} %), {begins}largest at "
+        f"most of it in trial {trial.name} ({MM_PER_M * tip_rms[k]:.1f} mm there, "
+        f"{100 * share:.0f} % of the whole), {begins}largest at "
         f"{trial.times[trial.frame[worst]]:.2f} s, "
         f"{trial.s[worst]:.2f} m along the string"
     )
