@@ -9,6 +9,7 @@ import pandas as pd
 from stringcast.data.importers.reader import RecordingReader, SourceColumn, list_columns
 from stringcast.data.schema import DataError
 
+UNNAMED_POINT = "point"  # if a column names the point of each row, or there is one only
 MIN_LIKELIHOOD = 0.6  # lower ones are guesses (DeepLabCut's pcutoff)
 
 
@@ -54,7 +55,7 @@ def _read_point(
     reader: RecordingReader, name: str, axes: Mapping[str, SourceColumn]
 ) -> pd.DataFrame:
     """Read one point of the string over time."""
-    prefix = f"{name}." if name else ""
+    prefix = f"{name or UNNAMED_POINT}."
     xy = reader.read_xy(axes, prefix)
     right, _ = reader.axes_of(axes)
     if reader.length_unit(axes[right.name]) == "px":

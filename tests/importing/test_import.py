@@ -171,16 +171,22 @@ def test_import_of_the_tutorial_prints_what_its_page_shows(
     ] == []
 
 
+@pytest.mark.parametrize(
+    "names",
+    [{"x": "tip_x", "y": "tip_y"}, {"x": "X", "y": "Y"}],
+    ids=["point in headings", "point in a column"],
+)
 def test_other_units_and_directions_are_detected_and_reported(
-    sample, called, tmp_path, undrawn_trial
+    sample, called, tmp_path, undrawn_trial, names
 ):
     """The files are in millimetres and degrees, with y down."""
     for number, (arm, tips) in enumerate(sample):
         angles = np.degrees(arm[["q1", "q2", "q3"]]).assign(t=arm["t"])
         angles.to_csv(tmp_path / f"arm{number}.csv", index=False)
-        places = pd.DataFrame(
-            {"t": tips["t"], "tip_x": tips["x"] * 1e3, "tip_y": -tips["y"] * 1e3}
-        )
+        columns = {"x": tips["x"] * 1e3, "y": -tips["y"] * 1e3}
+        places = pd.DataFrame({"t": tips["t"], **columns}).rename(columns=names)
+        if "X" in names.values():
+            places["marker"] = "tip"
         places.to_csv(tmp_path / f"tip{number}.csv", index=False, sep=";", decimal=",")
     files = sorted(tmp_path.glob("*.csv"))
     result = called("import", *files, "--to", tmp_path / "mine", *BENCH)
