@@ -68,6 +68,7 @@ NAMED_JOINTS = (
 HAND_WORDS = _words("tcp hand grasp gripper ee eef effector tool wrist flange clamp")
 DIRECTION_WORDS = _words("theta yaw angle phi heading rz rotation orientation")
 QUATERNION_AXES = ("qx", "qy", "qz", "qw")
+QUATERNION_WORDS = _words("orientation quaternion quat")  # as in hand_orientation_x
 ARC_LENGTH_WORDS = {"s", "arc", "arclength"}
 QUALITY_WORDS = {
     **dict.fromkeys(("likelihood", "confidence", "score"), "likelihood"),
@@ -196,6 +197,9 @@ def _unit_if_in(unit: str, units: dict[str, float]) -> str:
 
 def _position_meaning(words: Sequence[str], unit: str) -> ColumnMeaning:
     """Interpret the name of a position: of a joint, the hand or a point."""
+    if QUATERNION_WORDS & {*words} and words[-1] in {*"xyzw"}:
+        body = [word for word in words[:-1] if word not in QUATERNION_WORDS]
+        words = [*body, f"q{words[-1]}"]
     joint = _named_joint(words)
     if joint:
         return ColumnMeaning("joint", joint, unit=_unit_if_in(unit, ANGLE_UNITS))

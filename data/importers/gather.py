@@ -258,14 +258,11 @@ def _interpret_columns(
         )
         if meaning.kind != "other" and not is_replaced:
             columns.append(SourceColumn(name, meaning))
-    # unnamed x and y belong to the hand if there is an angle and no arc length
+    # unnamed x and y belong to the hand if it has a direction and no row an arc length
     all_kinds = _kinds_and_axes(columns)
+    has_direction = not all_kinds.isdisjoint({("hand", "angle"), ("hand", "qw")})
     has_arc = any(kind == "arc" for kind, _ in all_kinds)
-    if (
-        ("hand", "angle") in all_kinds
-        and ("hand", "x") not in all_kinds
-        and not has_arc
-    ):
+    if has_direction and ("hand", "x") not in all_kinds and not has_arc:
         for n, column in enumerate(columns):
             if column.meaning.kind == "point" and not column.meaning.name:
                 meaning = replace(column.meaning, kind="hand")

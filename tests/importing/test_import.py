@@ -61,6 +61,8 @@ COLUMNS = {
     "target_q_0": ColumnMeaning("other"),
     "tcp_x": ColumnMeaning("hand", "tcp", "x", ""),
     "TCP yaw [deg]": ColumnMeaning("hand", "tcp", "angle", "deg"),
+    "hand_orientation_w": ColumnMeaning("hand", "hand", "qw"),
+    "pose.orientation.x": ColumnMeaning("hand", "", "qx"),
     "tip_x_mm": ColumnMeaning("point", "tip", "x", "mm"),
     "tip_x_mm_s": ColumnMeaning("other"),
     "marker 7 Y [cm]": ColumnMeaning("point", "marker 7", "y", "cm"),

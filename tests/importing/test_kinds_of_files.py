@@ -487,3 +487,16 @@ def test_times_in_the_index_of_a_parquet_file_are_read(tmp_path, name):
     tip = write(tmp_path, "tip.csv", time=T, tip_x=TURN, tip_y=TURN)
     times = read(tmp_path / "arm.parquet", tip).motion["t"]
     np.testing.assert_allclose(times - times[0], T, atol=1e-6)
+
+
+@pytest.mark.parametrize("body", ["pose.", "hand_"])
+def test_a_pose_message_is_the_motion_of_the_hand(tmp_path, body):
+    columns = {f"{body}position.{axis}": (1 + n) * T for n, axis in enumerate("xyz")}
+    quaternion = {"x": 0 * T, "y": 0 * T, "z": np.sin(TURN / 2), "w": np.cos(TURN / 2)}
+    for axis, values in quaternion.items():
+        columns[f"{body}orientation.{axis}"] = values
+    hand = write(tmp_path, "hand.csv", t=T, **columns)
+    tip = write(tmp_path, "tip.csv", t=T, tip_x=T, tip_y=T)
+    motion = read(hand, tip, plane="x,y").motion
+    np.testing.assert_allclose(motion[["x", "y"]], np.stack([T, 2 * T], axis=1))
+    np.testing.assert_allclose(motion["theta"], TURN, atol=1e-12)
