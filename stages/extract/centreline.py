@@ -315,7 +315,9 @@ def _cross_profiles(
 
     seen = np.flatnonzero(~is_unseen)
     shift = np.interp(np.arange(len(shift)), seen, shift[seen])
-    sigma = centroid_sigma(bright, across, is_unseen, frame.noise, half_width)
+    sigma = centroid_sigma(
+        bright, across, is_unseen, is_outlined, frame.noise, half_width
+    )
     return CrossProfile(shift, sigma, total, near_light, is_outlined, is_unseen)
 
 

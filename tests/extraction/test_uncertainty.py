@@ -15,7 +15,7 @@ from stringcast.stages.extract.centreline import cumulative_length
 from stringcast.stages.extract.extract import extract
 from stringcast.stages.extract.footage import Footage
 from stringcast.stages.extract.segment import fill_never_uncovered
-from stringcast.stages.extract.uncertainty import point_sigmas
+from stringcast.stages.extract.uncertainty import centroid_sigma, point_sigmas
 from stringcast.stages.model.interpolation import interpolate_rows
 from tests.benchmarks.extraction import footage as real
 from tests.benchmarks.extraction.conditions import CONDITIONS
@@ -124,3 +124,14 @@ def test_a_strip_that_never_moves_is_removed_from_the_scene():
     bare = fill_never_uncovered(scene, np.array([[100.0, 0.0]] * 3), length=150)
     assert bare[:100, 90:110].max() == 10
     assert bare[65, 155] == 90
+
+
+def test_light_in_the_outline_of_the_arm_is_less_certain():
+    """The outline may hide half of a string that is 4 px wide."""
+    across = np.arange(-6, 6.5, 0.5)
+    bright = np.tile(np.where(np.abs(across) <= 2, 100.0, 0.0), (3, 1))
+    unseen = np.array([False, False, True])
+    outlined = np.array([False, True, True])
+    free, in_outline, _ = centroid_sigma(bright, across, unseen, outlined, 2.0, 2.0)
+    assert free < 0.1
+    assert in_outline == pytest.approx(0.58, abs=0.02)
