@@ -15,6 +15,7 @@ from stringcast.stages.report.page import Page
 from stringcast.stages.report.pages.cast.look import LOOK_ANCHOR, look_section
 from stringcast.stages.report.pages.cast.parameters import parameters_section
 from stringcast.stages.report.pages.cast.single_cast import cast_section
+from stringcast.stages.report.pages.cast.story import story_card
 from stringcast.stages.report.pages.cast.summary import (
     hand_paths_figure,
     result_badge,
@@ -29,10 +30,10 @@ def cast_page(record: RunRecord) -> str:
     """Render the page of a run."""
     casts = list(enumerate(record.casts, start=1))
     with style.context(STYLE_SHEET):
-        sections: list[Part] = [
-            *summary_parts(record, casts),
-            parameters_section(record),
-        ]
+        sections: list[Part] = []
+        if story := story_card(record, casts):
+            sections.append(story)
+        sections += [*summary_parts(record, casts), parameters_section(record)]
         if len(casts) > 1:
             sections.append(hand_paths_figure(record))
         if casts:
