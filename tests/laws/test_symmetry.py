@@ -121,40 +121,55 @@ def test_results_depend_neither_on_other_candidates_nor_on_threads(integrator):
 
 
 @pytest.mark.parametrize(
-    "integrator",
+    ("integrator", "effects", "lanes"),
     [
-        ImplicitLeapfrog(),
-        *(
-            pytest.param(each, marks=pytest.mark.long)
-            for each in (SemiImplicitEuler(), RungeKutta4())
-        ),
+        (ImplicitLeapfrog(), (), 1),
+        (ImplicitLeapfrog(), (), 8),
+        (ImplicitLeapfrog(), (MaxwellSlip,), 8),
+        pytest.param(SemiImplicitEuler(), (), 1, marks=pytest.mark.long),
+        pytest.param(SemiImplicitEuler(), (), 8, marks=pytest.mark.long),
+        pytest.param(RungeKutta4(), (), 1, marks=pytest.mark.long),
+        pytest.param(RungeKutta4(), (), 8, marks=pytest.mark.long),
     ],
 )
-def test_the_loop_for_one_candidate_is_that_of_many_to_the_bit(monkeypatch, integrator):
-    """The loop for one candidate equals that of many to the bit.
+def test_loops_of_fewer_lanes_give_the_same_to_the_bit(
+    monkeypatch, integrator, effects, lanes
+):
+    """A loop of fewer lanes equals the widest to the bit.
 
     It is compiled after a thousand runs. A result must not depend on the number of
     runs.
     """
-    string = String(0.3, points=15, integrator=integrator)
+    string = String(
+        0.3, points=15, integrator=integrator, effects=(*PAPER_EFFECTS, *effects)
+    )
     rng = np.random.default_rng(1)
     each = [p.value(rng.uniform(0.3, 0.6, 3)) for p in string.parameters]
     hand, values = resample_hand_motion(T, POSE), np.array(each).T
-    joint_result = simulate(string, hand, values, T).points
-    monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
-    single_results = [simulate(string, hand, row[None], T).points[0] for row in values]
-    assert np.isfinite(joint_result).all()
-    np.testing.assert_array_equal(joint_result, single_results)
+
+    def simulate_in_lanes(count: int) -> np.ndarray:
+        monkeypatch.setattr(batching, "lane_count", lambda *arguments: count)
+        return simulate(string, hand, values, T).points
+
+    widest = simulate_in_lanes(batching.LANES)
+    assert np.isfinite(widest).all()
+    np.testing.assert_array_equal(simulate_in_lanes(lanes), widest)
 
 
-def test_only_the_paper_s_forces_use_a_single_lane(monkeypatch):
-    """Only the paper's forces are ever simulated in a single lane.
+def test_few_candidates_run_in_fewer_lanes_once_that_pays(monkeypatch):
+    """Few candidates run in eight lanes, a single one with paper's forces in one.
 
     With other effects the compiler rounds some sums differently in one lane.
     """
-    monkeypatch.setattr(batching, "RUNS_BEFORE_SINGLE_LANE", 0)
-    string = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))
-    assert (
-        batching.lane_count(1, string.effects, string.row_names, string.integrator)
-        == batching.LANES
-    )
+
+    def lanes_of(candidates: int, string: String) -> int:
+        loop = (string.effects, string.row_names, string.integrator)
+        return batching.lane_count(candidates, *loop)
+
+    monkeypatch.setattr(batching, "RUNS_BEFORE_NARROW_LOOP", 0)
+    assert [lanes_of(n, STRING) for n in (1, 2, 8, 9, 16)] == [1, 8, 8, 16, 16]
+    assert [lanes_of(n, STRING) for n in (17, 24, 25)] == [8, 8, 16]
+    slipping = String(0.3, effects=(*PAPER_EFFECTS, MaxwellSlip))
+    assert lanes_of(1, slipping) == 8
+    monkeypatch.setattr(batching, "RUNS_BEFORE_NARROW_LOOP", np.inf)
+    assert lanes_of(1, STRING) == batching.LANES

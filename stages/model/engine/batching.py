@@ -1,9 +1,8 @@
 """Step loops compiled for blocks of candidates, and their buffers.
 
-A single candidate leaves all lanes but one idle. The same text with one lane is a
-scalar loop, which takes half the time of sixteen lanes. With the paper's forces its
-result is the same to the last bit. Its compilation takes as long as a thousand runs
-save, so it is compiled after these.
+Few candidates leave most of sixteen lanes idle. The same text with eight lanes takes
+half the time, with one lane a quarter, and the result is the same to the last bit. Its
+compilation takes as long as a thousand runs save, so it is compiled after these.
 """
 
 from __future__ import annotations
@@ -11,9 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import cache
-from itertools import count, repeat
+from itertools import count
 from typing import Any
 
+import llvmlite.binding
 import numpy as np
 
 from stringcast.stages.model.effect import StringEffect
@@ -26,11 +26,16 @@ from stringcast.stages.model.engine.module_cache import (
 from stringcast.stages.model.engine.threads import parallel_for
 from stringcast.stages.model.string import PAPER_EFFECTS
 
-# Runs of one candidate after which a loop of one lane pays: each saves 0.4 to 3 ms, and
-# compilation takes 1.5 to 2.6 s.
-RUNS_BEFORE_SINGLE_LANE = 1000
+NARROW_LANES = 8  # of the loop for few candidates
+# Runs after which a loop of fewer lanes pays: each saves 1 to 5 ms, and compilation
+# takes 1.5 to 5 s.
+RUNS_BEFORE_NARROW_LOOP = 1000
 PADDING_POINTS = 2  # zero points after the tip, which the loop reads
 CACHE_LINE = 64  # bytes
+
+# LLVM does not vectorise a loop of fewer than 16 passes that needs checks whether
+# arrays overlap. Without this, eight lanes take longer than sixteen.
+llvmlite.binding.set_option("", f"-vectorizer-min-trip-count={NARROW_LANES}")
 
 StepLoop = Callable[..., None]
 Effects = tuple[type[StringEffect], ...]
@@ -87,28 +92,41 @@ def lane_count(
 ) -> int:
     """Choose how many candidates run side by side.
 
-    A single candidate runs in a loop of one lane, once that pays.
+    Few candidates run in a loop of fewer lanes, once that pays.
     """
-    if candidates != 1:
+    lanes = _least_lanes(candidates, effects)
+    if lanes == LANES:
         return LANES
-    runs = next(_single_lane_runs(effects, row_names, integrator))
-    return 1 if runs >= RUNS_BEFORE_SINGLE_LANE else LANES
+    runs = next(_narrow_runs(effects, row_names, integrator, lanes))
+    return lanes if runs >= RUNS_BEFORE_NARROW_LOOP else LANES
+
+
+def _least_lanes(candidates: int, effects: Effects) -> int:
+    """Find the loop with the fewest idle lanes.
+
+    Only the paper's forces run in a single lane: the compiler rounds some sums of other
+    effects differently there. Full blocks run in the widest loop, which takes less time
+    for each candidate.
+    """
+    if candidates == 1 and effects == PAPER_EFFECTS:
+        return 1
+    narrow_blocks = math.ceil(candidates / NARROW_LANES)
+    return NARROW_LANES if narrow_blocks in (1, 3) else LANES
 
 
 @cache
-def _single_lane_runs(
-    effects: Effects, row_names: tuple[str, ...], integrator: Integrator
+def _narrow_runs(
+    effects: Effects,
+    row_names: tuple[str, ...],
+    integrator: Integrator,
+    lanes: int,
 ) -> Iterator[int]:
-    """Count the runs of a single candidate.
+    """Count the runs for which a loop of fewer lanes suffices.
 
-    If the loop is in the cache, the count starts at the threshold. With effects beyond
-    the paper's forces it never reaches it, because the compiler rounds some of their
-    sums differently in one lane.
+    If the loop is in the cache, the count starts at the threshold.
     """
-    if effects != PAPER_EFFECTS:
-        return repeat(-1)
-    source = generate_source(effects, row_names, integrator, 1)
-    return count(RUNS_BEFORE_SINGLE_LANE if module_path(source).exists() else 0)
+    source = generate_source(effects, row_names, integrator, lanes)
+    return count(RUNS_BEFORE_NARROW_LOOP if module_path(source).exists() else 0)
 
 
 def aligned_zeros(shape: tuple[int, ...]) -> np.ndarray:
