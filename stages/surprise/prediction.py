@@ -24,7 +24,7 @@ from stringcast.stages.inference.prepared_trial import PreparedTrial
 # Error of the tip, one sigma of a coordinate: time-correlated errors of film and mesh
 # bias the parameters by more than their posterior spread. Measured: see
 # stages/explain/README.md
-SLOW_ERROR_M = 1e-3
+SLOW_ERROR_M = 5e-4
 
 
 def predict_tips(
