@@ -126,13 +126,10 @@ def simulate(
     position = (times - hand.start) / hand.tick
     last = last_needed_tick(position)
     hand = hand.with_ticks(int(last.max()) + 1)
-    # A candidate in several trials is the same string in each.
-    distinct, place = np.unique(material, axis=0, return_inverse=True)
-    active, active_material = string.without_absent_effects(distinct)
+    active, active_material = string.without_absent_effects(material)
     slopes = sampled_slopes(active, active_material)
     steps, possible = steps_per_tick(active, active_material, hand.tick, slopes)
-    steps, possible = steps[place], possible[place]
-    gentlest = slopes[1][..., place]
+    gentlest = slopes[1]
     turn = np.broadcast_to(turn, len(material))
 
     points = np.empty((len(material), times.shape[-1], string.points, 2))
