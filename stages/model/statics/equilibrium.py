@@ -37,6 +37,7 @@ from stringcast.stages.model.string import String
 
 NEAR_BALANCE_SHARE = 1e-3  # residual near the solution, over the moment of the weight
 MIN_STRETCH = -0.9
+STRETCH_STEPS = 4  # of Newton; a linear law needs one, and one more for rounding
 
 Shape = tuple[np.ndarray, np.ndarray]
 
@@ -272,14 +273,11 @@ def stretched_lengths(
     angles: (C, n - 1) [rad].
     """
     chain = Chain.from_material(string, material)
-    lengths = chain.rest_lengths
     poses = np.broadcast_to(pose, (len(material), 3))
-    force = forces_beyond_segments(chain, poses, angles, lengths)
+    force = forces_beyond_segments(chain, poses, angles, chain.rest_lengths)
     along = force[..., 0] * np.cos(angles) + force[..., 1] * np.sin(angles)
-    for _ in range(4):
-        stretch = lengths / chain.segment_length - 1
-        for _ in range(2):  # Newton steps for tension = pull
-            tension, rise = slot_sum_and_slope(string, material, "tension", stretch)
-            stretch = np.maximum(stretch - (tension - along) / rise, MIN_STRETCH)
-        lengths = chain.segment_length * (1 + stretch)
-    return lengths
+    stretch = np.zeros_like(along)
+    for _ in range(STRETCH_STEPS):  # towards tension = pull
+        tension, rise = slot_sum_and_slope(string, material, "tension", stretch)
+        stretch = np.maximum(stretch - (tension - along) / rise, MIN_STRETCH)
+    return chain.segment_length * (1 + stretch)
