@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from stringcast.data.metadata import DATASET_FILE
 from stringcast.stages.check.consistency.dataset import (
     MAX_PLACES,
@@ -12,6 +14,7 @@ from stringcast.stages.check.consistency.dataset import (
 )
 from stringcast.stages.check.finding import Finding, warning
 from stringcast.stages.check.hanging_string import (
+    RestingPoints,
     find_resting_points,
     fit_hanging_string,
 )
@@ -31,7 +34,12 @@ MIN_TIP_SHARE = 0.99  # of the length: the rod ends at the outermost point
 # at most 0.8 %, and the right length at most 1.35 times the misfit of the fitted one.
 # In seven, lengths wrong by 10 mm have at least 2.3 times that misfit.
 MIN_LENGTH_ERROR = 0.02
+MIN_EXCESS = 0.01  # of the length: stretch and errors of the arm's pose are less
 MIN_MISFIT_RATIO = 2.0
+LENGTH_REMEDY = (
+    "Measure the string from the grasp to the tip; if its length is right, measure "
+    "arm.links and arm.base"
+)
 
 
 def check_mark_places(dataset: CheckedDataset) -> Iterator[Finding]:
@@ -74,7 +82,10 @@ def check_resting_length(dataset: CheckedDataset) -> Iterator[Finding]:
     if not judge_dataset(dataset).is_consistent:
         return
     resting = find_resting_points(measured)
-    if resting is None or len(resting.names) < MIN_POINTS:
+    if resting is None:
+        return
+    if len(resting.names) < MIN_POINTS:
+        yield from find_too_far_tip(resting, length)
         return
 
     free = fit_hanging_string(resting, None)
@@ -87,8 +98,16 @@ def check_resting_length(dataset: CheckedDataset) -> Iterator[Finding]:
             f"rod of the stated {length:.3f} m, and {MM_PER_M * free.misfit_m:.1f} mm "
             f"from one of {free.length:.3f} m"
         )
-        remedy = (
-            "Measure the string from the grasp to the tip; if its length is right, "
-            "measure arm.links and arm.base"
+        yield warning(DATASET_FILE, "string.length", statement, LENGTH_REMEDY)
+
+
+def find_too_far_tip(resting: RestingPoints, length: float) -> Iterator[Finding]:
+    """Find a trial in which the tip rests farther from the grasp than it can."""
+    reach_m = np.linalg.norm(resting.places[:, -1], axis=1)  # (K,)
+    k = int(np.nanargmax(reach_m))
+    if reach_m[k] > (1 + MIN_EXCESS) * length:
+        statement = (
+            f"at rest, the string's end is {reach_m[k]:.3f} m from the grasp in trial "
+            f"{resting.trials[k]}, and the string is said to be {length:.3f} m long"
         )
-        yield warning(DATASET_FILE, "string.length", statement, remedy)
+        yield warning(DATASET_FILE, "string.length", statement, LENGTH_REMEDY)

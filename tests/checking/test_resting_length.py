@@ -48,6 +48,16 @@ def test_a_length_wrong_by_a_centimetre_is_found_with_the_right_one(
     assert found == pytest.approx(bench.length, abs=0.003)
 
 
+def test_a_tip_that_rests_farther_away_than_the_string_is_long_is_found(
+    bench, tmp_path
+):
+    dataset = write_dataset(tmp_path, bench, 0.31, {"tip": 0.31})
+    (finding,) = check_resting_length(dataset)
+    assert finding.field == "string.length"
+    found = float(finding.statement.split(" m from the grasp")[0].split()[-1])
+    assert 0.3131 < found < bench.length + 0.001
+
+
 @pytest.mark.parametrize(
     ("length", "places", "metadata"),
     [
@@ -56,9 +66,10 @@ def test_a_length_wrong_by_a_centimetre_is_found_with_the_right_one(
         (0.34, {"mid": 0.16, "tip": 0.32}, {}),
         (0.33, {"mid": 0.16, "tip": 0.33}, {"geometry": "measured"}),
         # one point does not distinguish length and stiffness
+        (0.32, {"tip": 0.32}, {}),
         (0.33, {"tip": 0.33}, {}),
     ],
-    ids=["right", "no end", "measured", "one point"],
+    ids=["right", "no end", "measured", "one point, right", "one point"],
 )
 def test_a_right_or_undetermined_length_is_accepted(
     bench, tmp_path, length, places, metadata
