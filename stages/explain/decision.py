@@ -112,7 +112,13 @@ def _decide_without_causes(evidence: Evidence) -> tuple[str, str]:
     ratios = evidence.noise_ratios
     tip_m = tip_rms_m(evidence.base.estimate)
     if not evidence.is_complete:
-        return "undecided", f"No cause was found; {TIME_IS_UP}."
+        leading = next(iter(evidence.probabilities))
+        finding = "No cause was found"
+        if evidence.compared[leading].estimate is None:
+            probability = evidence.probabilities[leading]
+            name = describe_causes(leading)
+            finding = f"The most probable cause is {name} ({probability:.2f})"
+        return "undecided", f"{finding}; {TIME_IS_UP}."
     if tip_m > evidence.tolerance_m and not ratios.leave_only_mesh_error:
         misfit = f"the tip's misfit of {MM_PER_M * tip_m:.1f} mm"
         return "unknown", f"No single effect explains {misfit}."

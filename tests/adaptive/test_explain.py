@@ -127,6 +127,16 @@ def test_untried_causes_lower_the_probability_of_all_others_alike():
         assert probability == pytest.approx(0.7 * all_tried[causes])
 
 
+def test_probable_cause_is_stated_if_there_was_no_time_to_fit_it():
+    screened = Comparison(("joint_gain",), 30.0, 2.0)
+    verdict, sentence = verdict_on(screened, is_complete=False)
+    assert verdict == "undecided"
+    assert "joint gain (1.00); the processor time was used up" in sentence
+    verdict, sentence = verdict_on(is_complete=False)
+    assert verdict == "undecided"
+    assert "No cause was found" in sentence
+
+
 def test_partial_cause_is_undecided_after_an_incomplete_search():
     found = fitted_comparison("density_taper", 38.0, 0.025)
     assert verdict_on(found)[0] == "partial"
