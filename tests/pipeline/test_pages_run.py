@@ -204,6 +204,7 @@ ELSEWHERE = {  # command: the test that runs it, or why no test can
     "tasks.py study casting casting.seeds=16": "takes hours; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study casting ~casting.methods.paper casting.first=310 casting.seeds=10 casting.casts=1": "takes minutes; one run of it: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study gain casting.seeds=2": "takes hours; as casting",
+    "pipeline +experiment=adaptive specimen=D target=at_500_900 seed=987 max_casts=3 +specimen.hidden.joint_gain.gain=0.04 +specimen.hidden.rest_curvature.curvature=3.0": "takes two minutes; as adaptive with a heavy tip",
     "tasks.py study adaptive casting.first=968 casting.seeds=1 casting.casts=2 ~casting.methods.robust ~casting.methods.informed": "takes a quarter of an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study adaptive casting.first=952 casting.seeds=2 casting.casts=2 ~casting.methods.robust ~casting.methods.informed": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
     "tasks.py study worlds casting.first=800 casting.seeds=1 ~casting.methods.robust ~casting.cases.C ~casting.cases.D": "takes half an hour; its jobs: tests/benchmarks/casting/test_casting_study.py",
