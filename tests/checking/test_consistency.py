@@ -275,7 +275,7 @@ def test_a_pace_must_explain_the_motion(corrected_misfit, is_proposed, monkeypat
     after = Verdict(slow, {}, {"t0": corrected_misfit})
     motion = iter([0.06, 0.1])
     monkeypatch.setattr(search, "apply_corrections", lambda *_: slow)
-    monkeypatch.setattr(search, "broken_limits", lambda *_: {})
+    monkeypatch.setattr(search, "is_impossible", lambda *_: False)
     monkeypatch.setattr(search, "judge", lambda *_: after)
     monkeypatch.setattr(search, "farthest_point", lambda *_: "tip")
     monkeypatch.setattr(search, "mean_motion", lambda *_: next(motion))

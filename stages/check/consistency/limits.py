@@ -63,6 +63,12 @@ def broken_limits(measured: Measurements) -> dict[str, BrokenLimit]:
     return broken
 
 
+def is_impossible(measured: Measurements) -> bool:
+    """Return whether any trial breaks a limit; others are not computed then."""
+    trials = measured.recordings
+    return any(broken_limit(measured, recording) is not None for recording in trials)
+
+
 def broken_limit(measured: Measurements, recording: Recording) -> BrokenLimit | None:
     """Return the limit that a trial breaks; None if it is possible."""
     length = measured.length

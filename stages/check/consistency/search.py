@@ -38,7 +38,7 @@ from stringcast.stages.check.consistency.judge import (
     farthest_point,
     judge,
 )
-from stringcast.stages.check.consistency.limits import broken_limits
+from stringcast.stages.check.consistency.limits import is_impossible
 from stringcast.stages.check.consistency.pairing import find_pairing
 from stringcast.stages.check.consistency.prediction import mean_motion
 from stringcast.stages.check.consistency.record import Measurements
@@ -182,7 +182,7 @@ def consistent_proposals(
     before_relative = relative_misfit(before)
     for corrections in candidates:
         corrected = apply_corrections(measured, corrections)
-        if corrected is None or broken_limits(corrected):
+        if corrected is None or is_impossible(corrected):
             continue
         verdict = judge(corrected)
         length = verdict.measured.length or 0.0
@@ -229,7 +229,7 @@ def falls_at_its_pace(measured: Measurements, verdict: Verdict) -> bool:
     limit = MAX_RATE_RATIO * relative_misfit(verdict)
     for factor in (0.5, 2.0):
         other = scale_all_times(measured, factor)
-        if not broken_limits(other) and relative_misfit(judge(other)) < limit:
+        if not is_impossible(other) and relative_misfit(judge(other)) < limit:
             return False
     return True
 
