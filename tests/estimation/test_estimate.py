@@ -214,7 +214,7 @@ def test_cma_es_step_falls_with_the_number_of_casts(arm, camera):
 def test_candidates_narrow_as_in_equation_4(arm, camera):
     """Candidates stay within chi_0 / M beta^m of the best so far, and come near it."""
     settings = {
-        "candidates": 400,
+        "candidates": 150,
         "chi_0": 0.5,
         "beta": 0.99,
         "batch": 1,
@@ -299,7 +299,7 @@ def test_least_squares_recovers_parameters_within_its_intervals(arm, camera):
     """
     settings = {"starts": 2, "screening": 64, "iterations": 20, "matching": MATCHING}
     inside, determined = [], []
-    for seed in range(5):
+    for seed in range(3):
         found = least_squares.estimate(
             Model(STRING, arm, camera),
             [simulate_swing(seed, seconds=0.7)],

@@ -1,6 +1,7 @@
 """Initial states of trials that start in motion, from noisy first frames."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -56,21 +57,25 @@ def model(arm, camera):
     return Model(STRING, arm, camera)
 
 
-def released(turn, places, fps, noise, seed=0, until=0.6, string=STRING):
+def released(turn, places, fps, noise, seed=0, until=0.6):
     """Release a string in SHAPE from a hand at rest.
 
     Returns times (F,) [s] and points (F, M, 2) [m] with noise.
     """
-    t = np.arange(0, until, 1 / fps)
-    grasp = np.repeat(POSE[None], len(t), axis=0)
-    start = StringState(0.0, MIDDLE, SHAPE, turn)
-    true = simulate(
-        string, resample_hand_motion(t, grasp), string.values(NAMED)[None], t, start
-    ).points[0]
-    seen = np.array(
-        [interpolate_rows(places, string.arc_lengths(), line) for line in true]
-    )
+    t, true = simulate_release(bool(turn.any()), fps, until)
+    s = STRING.arc_lengths()
+    seen = np.array([interpolate_rows(places, s, line) for line in true])
     return t, seen + np.random.default_rng(seed).normal(0, noise, seen.shape)
+
+
+@cache
+def simulate_release(is_turning, fps, until):
+    """Simulate a string released in SHAPE; return times [s] and all points [m]."""
+    t = np.arange(0, until, 1 / fps)
+    hand = resample_hand_motion(t, np.repeat(POSE[None], len(t), axis=0))
+    start = StringState(0.0, MIDDLE, SHAPE, TURN if is_turning else 0 * TURN)
+    values = STRING.values(NAMED)[None]
+    return t, simulate(STRING, hand, values, t, start).points[0]
 
 
 def observed(t, seen, places, **more):
