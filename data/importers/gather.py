@@ -15,9 +15,14 @@ import pandas as pd
 
 from stringcast.data.importers import SourceRecording
 from stringcast.data.importers.columns import ColumnMeaning, column_meaning, stated_unit
-from stringcast.data.importers.hand_motion import find_zero_rows, read_motion
+from stringcast.data.importers.hand_motion import (
+    find_zero_rows,
+    has_direction,
+    read_motion,
+)
 from stringcast.data.importers.pauses import split_at_pauses
 from stringcast.data.importers.reader import (
+    ONLY_TRIAL,
     ColumnHints,
     RecordingReader,
     SourceColumn,
@@ -260,9 +265,9 @@ def _interpret_columns(
             columns.append(SourceColumn(name, meaning))
     # unnamed x and y belong to the hand if it has a direction and no row an arc length
     all_kinds = _kinds_and_axes(columns)
-    has_direction = not all_kinds.isdisjoint({("hand", "angle"), ("hand", "qw")})
+    hand_axes = {axis for kind, axis in all_kinds if kind == "hand"}
     has_arc = any(kind == "arc" for kind, _ in all_kinds)
-    if has_direction and ("hand", "x") not in all_kinds and not has_arc:
+    if has_direction(hand_axes) and "x" not in hand_axes and not has_arc:
         for n, column in enumerate(columns):
             if column.meaning.kind == "point" and not column.meaning.name:
                 meaning = replace(column.meaning, kind="hand")
@@ -336,7 +341,7 @@ def _trial_names(
     """
     stems = [recording.name or recording.file.stem for recording in recordings]
     if len({*stems}) < 2:
-        return dict.fromkeys(recordings, trial_name("00"))
+        return dict.fromkeys(recordings, ONLY_TRIAL)
     # do not cut numbers
     prefix = commonprefix(stems).rstrip("0123456789")  # noqa: RUF071
     reversed_stems = [stem[::-1] for stem in stems]

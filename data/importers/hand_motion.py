@@ -69,7 +69,7 @@ def _read_poses(reader: RecordingReader) -> pd.DataFrame | None:
     quaternion.
     """
     hand = {column.meaning.axis: column for column in _hand_columns(reader)}
-    if len({"x", "y", "z"} & {*hand}) < 2 or not _has_direction({*hand}):
+    if len({"x", "y", "z"} & {*hand}) < 2 or not has_direction({*hand}):
         return None
     right, up = reader.plane_axes
     pose = reader.read_xy(hand, "")
@@ -83,7 +83,7 @@ def _read_poses(reader: RecordingReader) -> pd.DataFrame | None:
     return pd.DataFrame(pose)
 
 
-def _has_direction(axes: set[str]) -> bool:
+def has_direction(axes: set[str]) -> bool:
     """Return whether these axes give the direction of the hand."""
     return "angle" in axes or axes >= {*QUATERNION_AXES}
 
@@ -151,7 +151,7 @@ def _hand_columns(reader: RecordingReader) -> list[SourceColumn]:
     elif len(bodies) < 2:
         return columns
     else:
-        candidates = [name for name in bodies if _has_direction(axes_of[name])]
+        candidates = [name for name in bodies if has_direction(axes_of[name])]
         if len(candidates) != 1:
             names = [name.removeprefix("hand ") for name in bodies]
             raise DataError(

@@ -116,6 +116,9 @@ def trial_name(key: str) -> str:
     return f"t{key}" if key.isdigit() else key
 
 
+ONLY_TRIAL = trial_name("00")  # of one pair of files
+
+
 def list_columns(recording: SourceRecording) -> str:
     """List the first columns of a recording for messages."""
     names = [str(name) for name in recording.table]

@@ -168,7 +168,7 @@ def _read_clock(reader: RecordingReader, column: SourceColumn) -> np.ndarray:
     numbers = reader.numbers(column.name)
     if numbers.isna().all():
         return _read_dates(reader, column)
-    step = _typical_step(numbers)
+    step = typical_step(numbers)
     unit, how = column.meaning.unit, column.how
     if unit:
         _refuse_slow_clock(reader, column, step)
@@ -229,7 +229,7 @@ def _refuse_slow_clock(
     )
 
 
-def _typical_step(numbers: pd.Series) -> float:
+def typical_step(numbers: pd.Series) -> float:
     """Return the median difference of distinct numbers; 0 for a single one."""
     steps = np.diff(np.unique(numbers.dropna()))
     return float(np.median(steps)) if len(steps) else 0.0
