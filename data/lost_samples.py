@@ -135,11 +135,11 @@ def fixed_position_mask(xy: np.ndarray) -> tuple[np.ndarray, str]:
         return nothing
     centre = complex(*np.median(xy, axis=0))
     distances = np.abs(positions[repeated] - centre)
-    by_distance = repeated[np.argsort(-distances)]
+    farthest = repeated[np.argmax(distances)]
     by_frequency = repeated[np.argsort(-counts[repeated])]
 
     # a tracker writes the same position for all lost points
-    for candidate in [by_distance[0], *by_frequency[:MAX_FIXED_POSITIONS]]:
+    for candidate in [farthest, *by_frequency[:MAX_FIXED_POSITIONS]]:
         mask = number == candidate
         if mask.all():
             continue

@@ -34,8 +34,8 @@ MIN_TIP_SHARE = 0.99  # of the length: the rod ends at the outermost point
 # at most 0.8 %, and the right length at most 1.35 times the misfit of the fitted one.
 # In seven, lengths wrong by 10 mm have at least 2.3 times that misfit.
 MIN_LENGTH_ERROR = 0.02
-MIN_EXCESS = 0.01  # of the length: stretch and errors of the arm's pose are less
 MIN_MISFIT_RATIO = 2.0
+MIN_EXCESS = 0.01  # of the length: stretch and errors of the arm's pose are less
 LENGTH_REMEDY = (
     "Measure the string from the grasp to the tip; if its length is right, measure "
     "arm.links and arm.base"
