@@ -80,8 +80,8 @@ ESTIMATION_SUMMARY = Table(
     rms_after [m]: centre-line residual after, root mean square
     tip_before [m]: the same of the measured point nearest the tip
     tip_after [m]: the same of the measured point nearest the tip
-    residual_ratio [1] (optional): residual after over the points' sigma, root mean
-        square; 1 for noise alone
+    residual_ratio [1]: residual after over the points' sigma, root mean square; 1 for
+        noise alone
     mesh_error [m]: error of the mesh that was subtracted before, root mean square; 0 if
         the parameters are those of the string on its mesh
     rejected [1] (int): candidates rejected because they did not stay finite

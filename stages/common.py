@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -71,6 +71,11 @@ def mad_sigma(values: np.ndarray) -> float:
     It is that of values of any shape, in their unit.
     """
     return MAD_TO_SIGMA * float(np.median(np.abs(values)))
+
+
+def mean_square_over_trials(values: Iterable[np.ndarray]) -> float:
+    """Compute the mean over trials of the mean square of each trial's values."""
+    return float(np.mean([np.mean(trial_values**2) for trial_values in values]))
 
 
 def rms(values: np.ndarray) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
+from stringcast.stages.common import mean_square_over_trials
 from stringcast.stages.explain.comparison import Comparison, bic_penalty
 from stringcast.stages.inference.covariance import linearise
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -191,7 +192,7 @@ class Comparer:
         for factor in (1, REFERENCE_REFINEMENT):
             string = self._likelihood_on_mesh(hypothesis, factor)
             residuals = string.residuals_by_trial(chi[None])
-            mean_squares.append(np.mean([np.mean(r**2) for r in residuals]))
+            mean_squares.append(mean_square_over_trials(residuals))
         return float(np.sqrt(min(mean_squares)))
 
     def _draw_probes(

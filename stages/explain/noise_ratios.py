@@ -9,14 +9,14 @@ import numpy as np
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
-from stringcast.stages.common import rms
+from stringcast.stages.common import mean_square_over_trials, rms
 from stringcast.stages.explain.comparer import SCREENING_ITERATIONS
 from stringcast.stages.explain.comparison import MIN_EXPLAINED_FRACTION, NOISE_RATIO
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
-    discretisation_errors,
+    normalised_discretisation_errors,
+    normalised_discretisation_uncertainties,
     resolved_frames,
-    uncertain_discretisation_errors,
     with_corrected_points,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
@@ -100,8 +100,9 @@ def compare_with_noise(
         own_residual = first_frames_residual(likelihood, chi, counts[-1])
         with_causes = max(with_causes, own_residual)
     misfit = estimates[-1].residual_ratio ** 2 - NOISE_RATIO**2
-    mesh_square = float(np.mean([np.mean(error**2) for error in errors]))
-    fraction = mesh_square / max(misfit, float(np.finfo(float).tiny))
+    fraction = mean_square_over_trials(errors) / max(
+        misfit, float(np.finfo(float).tiny)
+    )
     return NoiseRatios(residuals[0], with_causes, fraction)
 
 
@@ -123,8 +124,8 @@ def remaining_mesh_errors(
         The estimate.
     """
     if estimate.mesh_error_m > 0:
-        return uncertain_discretisation_errors(likelihood, chi)
-    return discretisation_errors(likelihood, chi)
+        return normalised_discretisation_uncertainties(likelihood, chi)
+    return normalised_discretisation_errors(likelihood, chi)
 
 
 def first_frames_residual(

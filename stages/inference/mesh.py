@@ -45,7 +45,9 @@ def discretisation_error(likelihood: Likelihood, chi: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
-def discretisation_errors(likelihood: Likelihood, chi: np.ndarray) -> list[np.ndarray]:
+def normalised_discretisation_errors(
+    likelihood: Likelihood, chi: np.ndarray
+) -> list[np.ndarray]:
     """Compute the discretisation error over sigma of each trial, (2 n,).
 
     It is NaN at parameters (P,) where a simulation diverges.
@@ -57,7 +59,7 @@ def discretisation_errors(likelihood: Likelihood, chi: np.ndarray) -> list[np.nd
     return errors
 
 
-def uncertain_discretisation_errors(
+def normalised_discretisation_uncertainties(
     likelihood: Likelihood, chi: np.ndarray
 ) -> list[np.ndarray]:
     """Compute what three meshes disagree on, over sigma of each trial, (2 n,).

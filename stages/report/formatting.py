@@ -81,6 +81,14 @@ def format_value(value: float) -> str:
     return f"{float(figures):g} × 10{superscript(power)}"
 
 
+def format_hit_probability(plan: Mapping[str, Any]) -> str:
+    """Format the predicted hit probability of a motion; empty if it is unknown."""
+    chance = plan.get("chance", np.nan)
+    if not np.isfinite(chance):
+        return ""
+    return f"{chance:.2f} ({plan['chance_low']:.2f} to {plan['chance_high']:.2f})"
+
+
 def format_mean(row: Mapping[str, Any]) -> str:
     """Format a mean with its interval, if any, from a row of `mean_response`."""
     mean = format_value(row["mean"])

@@ -1212,8 +1212,8 @@ def test_only_the_uncertain_part_of_a_subtracted_mesh_error_is_left(
     Of a subtracted error, three meshes disagree on as much as sigma.
     """
     for name, ratio in (
-        ("discretisation_errors", 2.0),
-        ("uncertain_discretisation_errors", 1.0),
+        ("normalised_discretisation_errors", 2.0),
+        ("normalised_discretisation_uncertainties", 1.0),
     ):
         errors = [np.full(2, ratio)]
         monkeypatch.setattr(noise_ratios, name, lambda *given, errors=errors: errors)

@@ -11,10 +11,10 @@ from stringcast.stages.common import rms
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import (
     discretisation_error,
-    discretisation_errors,
     mesh_ladder,
+    normalised_discretisation_errors,
+    normalised_discretisation_uncertainties,
     resolved_frames,
-    uncertain_discretisation_errors,
 )
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.search import horizons
@@ -80,12 +80,12 @@ def test_meshes_disagree_only_where_they_do_not_resolve_the_string(cast_set):
     begun = [mesh.cut_after_onset(0.4) for mesh in whole]
 
     def uncertain_rms(mesh):
-        return rms(np.concatenate(uncertain_discretisation_errors(mesh, chi)))
+        return rms(np.concatenate(normalised_discretisation_uncertainties(mesh, chi)))
 
     assert uncertain_rms(begun[0]) / uncertain_rms(begun[1]) > 8
     shares = []
     for mesh in (begun[0], whole[0]):
-        error = np.concatenate(discretisation_errors(mesh, chi))
+        error = np.concatenate(normalised_discretisation_errors(mesh, chi))
         shares.append(uncertain_rms(mesh) / rms(error))
     assert shares[0] < 0.2 < shares[1]
 
@@ -94,7 +94,7 @@ def test_a_trial_is_resolved_until_the_error_of_the_mesh_is_large(cast_set):
     """A mesh with four times as many segments replaces the limit."""
     coarse, fine = likelihood(cast_set, 20, 1e-3), likelihood(cast_set, 77, 2.5e-4)
     chi = parameter_exponents(coarse.parameters, cast_set.truth)
-    errors = discretisation_errors(coarse, chi)
+    errors = normalised_discretisation_errors(coarse, chi)
     counts = resolved_frames(coarse.data.trials, errors, 1.0)
     trials = zip(coarse.data.trials, fine.data.trials, counts, strict=True)
     for trial, finer, count in trials:

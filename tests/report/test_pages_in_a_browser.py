@@ -45,6 +45,7 @@ def alignment():
         "sentence": "So.",
         "rms_before": 1e-3,
         "rms_after": 1e-4,
+        "residual_ratio": 1.0,
         "noise": 1e-4,
         "speed": 2.0,
     }

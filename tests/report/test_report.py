@@ -121,6 +121,7 @@ def estimated(rng, t, symbols=STRING.parameters):
         "after": 0.9,
         "rms_before": 0.0456,
         "rms_after": 0.0123,
+        "residual_ratio": 2.0,
         "mesh_error": 0.0021,
         "rejected": 3,
     }

@@ -15,7 +15,12 @@ from stringcast.stages.report.charts.cast import (
     distance_map,
     joint_charts,
 )
-from stringcast.stages.report.formatting import format_mm, format_ms, sentence_markup
+from stringcast.stages.report.formatting import (
+    format_hit_probability,
+    format_mm,
+    format_ms,
+    sentence_markup,
+)
 from stringcast.stages.report.pages.cast.shared_parts import (
     FILM_LAYERS,
     NO_FRAMES,
@@ -146,12 +151,8 @@ def _describe_cast(cast: CastRecord) -> Markup:
             f"{format_ms(plan['duration'])}.",
             f"The simulation predicted {format_ms(plan['t_hit'])}.",
         ]
-        if np.isfinite(plan.get("chance", np.nan)):
-            chance, low, high = plan[["chance", "chance_low", "chance_high"]]
-            sentences.append(
-                f"The predicted hit probability was {chance:.2f} ({low:.2f} to "
-                f"{high:.2f})."
-            )
+        if probability := format_hit_probability(plan):
+            sentences.append(f"The predicted hit probability was {probability}.")
             if plan.get("prospects"):
                 sentences.append(f"Stated before the cast: {plan['prospects']}")
     else:

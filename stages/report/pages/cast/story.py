@@ -9,7 +9,7 @@ import numpy as np
 
 from stringcast.data.explanations import PARTLY_EXPLAINED, Explanation
 from stringcast.stages.common import describe_causes
-from stringcast.stages.report.formatting import format_mm
+from stringcast.stages.report.formatting import format_hit_probability, format_mm
 from stringcast.stages.report.pages.cast.look import LOOK_ANCHOR
 from stringcast.stages.report.parts import Card, TableView, link
 from stringcast.stages.report.records import CastRecord, RunRecord
@@ -58,11 +58,10 @@ def story_card(
 
 def describe_prediction(cast: CastRecord) -> str:
     """State the predicted hit probability of a cast."""
-    plan: Any = cast.motion.outcome.iloc[0]
-    if not np.isfinite(plan.get("chance", np.nan)):
+    probability = format_hit_probability(cast.motion.outcome.iloc[0])
+    if not probability:
         return "no probability was predicted"
-    low, high = plan["chance_low"], plan["chance_high"]
-    return f"a hit, with probability {plan['chance']:.2f} ({low:.2f} to {high:.2f})"
+    return f"a hit, with probability {probability}"
 
 
 def describe_result(cast: CastRecord) -> str:
@@ -87,7 +86,7 @@ def describe_reason(trial: CastRecord) -> str:
 
 
 def describe_next_plan(trial: CastRecord, following: CastRecord) -> str:
-    """State with what the cast after a trial was planned, and its hit probability."""
+    """State the model and the correction with which the next cast was planned."""
     words = describe_planned_model(trial.explanation)
     plan: Any = following.motion.outcome.iloc[0]
     if plan.get("correction", 0.0) > 0:
