@@ -12,7 +12,6 @@ from conftest import ROOT, measured_sample, simulated_points
 
 from stringcast.data.metadata import read_metadata
 from stringcast.data.schema import DataError
-from stringcast.pipeline.commands import clock_fit as command
 from stringcast.pipeline.commands.check import (
     overview_with_clocks,
     read_measurements,
@@ -68,9 +67,7 @@ CASE = ROOT.parent / "shared" / "cases" / "two_clocks"
 CHECKED = measured_sample()
 TRIALS = CHECKED.trials
 FRAME_S = 0.005
-PLAIN = plain_model(CHECKED)
-# A coarse mesh saves 4 to 28 % of the time of a test
-MODEL = replace(PLAIN, string=replace(PLAIN.string, points=20, largest_step=1e-3))
+MODEL = plain_model(CHECKED)
 
 
 @pytest.fixture
@@ -174,8 +171,7 @@ def test_an_unknown_disturbance_does_not_separate_clocks(seed):
         push_aside(late(seen, 0.0, tip_alone=False).observation, acceleration)
         for seen, acceleration in zip(TRIALS, accelerations, strict=False)
     ]
-    model = plain_model(CHECKED)
-    found = estimate_clock_offset(model, pushed, np.random.default_rng(seed))
+    found = estimate_clock_offset(MODEL, pushed, np.random.default_rng(seed))
     assert found.is_common
     assert found.drift is None
     interval = found.by_trial["t00"]
@@ -195,8 +191,7 @@ def late_by_trial(given_s):
 def test_trials_with_separate_clocks_get_separate_offsets():
     given_s = {"t00": 0.0, "t01": 0.06, "t02": -0.04}
     trials = late_by_trial(given_s)
-    model = plain_model(CHECKED)
-    found = estimate_clock_offset(model, trials, np.random.default_rng(0))
+    found = estimate_clock_offset(MODEL, trials, np.random.default_rng(0))
     assert not found.is_common
     for name, by in given_s.items():
         interval = found.by_trial[name]
@@ -211,8 +206,7 @@ def test_the_drift_of_a_slow_clock_is_within_its_interval():
     for seen in TRIALS[:2]:
         points = seen.points.assign(t=seen.points["t"] / 1.02)
         slow.append(replace(seen.observation, points=points))
-    model = plain_model(CHECKED)
-    found = estimate_clock_offset(model, slow, np.random.default_rng(0))
+    found = estimate_clock_offset(MODEL, slow, np.random.default_rng(0))
     assert found.drift.low < 0.02 < found.drift.high
 
 
@@ -580,10 +574,7 @@ def test_an_invalid_clock_interval_is_refused(tmp_path, clock):
         read_metadata(folder)
 
 
-def test_check_names_a_wrong_clock_unless_the_dataset_states_it(
-    few_starts, monkeypatch
-):
-    monkeypatch.setattr(command, "plain_model", lambda checked: MODEL)
+def test_check_names_a_wrong_clock_unless_the_dataset_states_it(few_starts):
     shifted = {}
     for seen in TRIALS[:2]:
         shifted[seen.name] = late(seen, -0.15).observation

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pandas as pd
+from conftest import TRUTH
 
 from stringcast.data.artifacts import JOINTS, MASKS, READINGS, Observation
 from stringcast.stages.diagnose.diagnose import diagnose
 from stringcast.stages.diagnose.proposal.candidate_motions import DesignSettings
 from stringcast.stages.diagnose.rules import Criteria
+from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.generate.curves import Curves
+from stringcast.stages.inference.hypothesis import Hypothesis
+from stringcast.stages.inference.laplace import fit_hypothesis
 from stringcast.stages.model.hand import resample_joint_motion
 
 SIGMA = 7e-4
@@ -60,6 +64,15 @@ def make_observation(name, model, t, angles, clean, places, rng, **fields):
     log = pd.DataFrame({"t": t} | dict(zip(JOINTS, angles.T, strict=True)))
     empty = (READINGS.empty(), MASKS.empty())
     return Observation(name, points, *empty, log, **fields)
+
+
+def fit_base_model(model, trials):
+    """Fit the base model to prepared trials from TRUTH, and return data and fit."""
+    base = Hypothesis(model)
+    chi = model.exponents_of_values(TRUTH)
+    data = attach_discrepancy_model(trials, base, chi)
+    no_discrepancy = np.zeros(len(trials), dtype=int)
+    return data, fit_hypothesis(data, base, chi[None], no_discrepancy)
 
 
 def diagnose_trials(model, observations, starts, held_out=(), motions=1, **settings):

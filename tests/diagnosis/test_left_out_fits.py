@@ -5,7 +5,7 @@ from itertools import chain
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import simulate_trial, swing_angles
+from synthetic_trials import fit_base_model, simulate_trial, swing_angles
 
 from stringcast.stages.diagnose.evidence import left_out_fits
 from stringcast.stages.diagnose.evidence.left_out_fits import (
@@ -14,10 +14,8 @@ from stringcast.stages.diagnose.evidence.left_out_fits import (
     groups_to_leave_out,
 )
 from stringcast.stages.diagnose.evidence.predictions import predict_left_out_trials
-from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
-from stringcast.stages.inference.hypothesis import Hypothesis
-from stringcast.stages.inference.laplace import best_exponents, fit_hypothesis
+from stringcast.stages.inference.laplace import best_exponents
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.inference.solver import MIN_GAIN
@@ -34,11 +32,7 @@ def fit_trials(arm, strings):
     for k, angles in enumerate(swing_angles(arm, len(strings), 0.3)):
         observed = simulate_trial(f"t{k}", arm, model, strings[k], angles, PLACES, rng)
         trials.append(prepare_trial(model, observed))
-    hypothesis = Hypothesis(model)
-    chi = model.exponents_of_values(TRUTH)
-    data = attach_discrepancy_model(trials, hypothesis, chi)
-    no_discrepancy = np.zeros(len(trials), dtype=int)
-    return data, fit_hypothesis(data, hypothesis, chi[None], no_discrepancy)
+    return fit_base_model(model, trials)
 
 
 def refit_to_others(data, fit, left_out):

@@ -7,13 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from conftest import TRUTH, ordinary
-from synthetic_trials import simulate_trial, swing_angles
+from synthetic_trials import fit_base_model, simulate_trial, swing_angles
 
 from stringcast.stages.diagnose import diagnose
 from stringcast.stages.diagnose.clocks import trial_clocks
 from stringcast.stages.diagnose.clocks.trial_clocks import find_trial_clocks
 from stringcast.stages.diagnose.results.document import clocks_document
-from stringcast.stages.diagnose.trials.discrepancy_model import attach_discrepancy_model
 from stringcast.stages.diagnose.trials.discretisation import with_second_order_mesh
 from stringcast.stages.diagnose.verdict import Judgement, Verdict
 from stringcast.stages.inference.hypothesis import Hypothesis
@@ -50,11 +49,7 @@ def fit_swings(arm, model):
             seen = simulate_trial(f"t{k:02}", arm, windy, truth, angles, PLACES, rng)
             changed = replace(seen, points=change(k, seen.points))
             trials.append(prepare_trial(model, changed))
-        base = Hypothesis(model)
-        start = model.exponents_of_values(TRUTH)
-        data = attach_discrepancy_model(trials, base, start)
-        no_discrepancy = np.zeros(len(trials), dtype=int)
-        return data, fit_hypothesis(data, base, start[None], no_discrepancy)
+        return fit_base_model(model, trials)
 
     return fit
 
