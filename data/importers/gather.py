@@ -30,6 +30,7 @@ from stringcast.data.importers.reader import (
     list_columns,
     trial_name,
 )
+from stringcast.data.importers.rests import join_session, split_at_rests
 from stringcast.data.importers.string_points import read_points
 from stringcast.data.importers.times import read_times
 from stringcast.data.schema import DataError
@@ -138,12 +139,15 @@ def gather_tables(
     film_of = {names[r]: r.film for r in films if r.film is not None}
     used_columns, unused_columns = _list_used_columns(parts)
     points = _match_leading_zeros(points, motion)
+    if len(points) and not film_of:
+        motion, points = join_session(motion, points)
     point_trials = points["trial"].unique() if len(points) else ()
     _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
     if len(points) and not film_of:
         motion, points, pauses = split_at_pauses(motion, points)
-        notes += pauses
+        motion, points, rests = split_at_rests(motion, points)
+        notes += [*pauses, *rests]
     return ImportedTables(
         motion=motion,
         points=points,
