@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -39,6 +40,7 @@ from stringcast.stages.clock.windows import (
 )
 from stringcast.stages.common import Progress, partial_progress
 from stringcast.stages.diagnose.clocks.clock_offsets import (
+    DRIFT,
     MIN_EXPLAINED_FRACTION,
     STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
@@ -97,6 +99,14 @@ class ClockOffset:
     is_common: bool
     drift: Interval | None
     profile: pd.DataFrame
+
+
+class DriftingClock(NamedTuple):
+    """The offset of a clock at t = 0 with its standard deviation [s], and its drift."""
+
+    offset: float
+    deviation: float
+    drift: Interval
 
 
 @dataclass(frozen=True)
@@ -214,9 +224,10 @@ def _separate_offsets_near(
         own.standard_deviation,
         frame_s,
     )
-    drift, _ = _estimate_drift(separate, clock_background(separate))
+    drifting = _estimate_drift(separate, clock_background(separate))
     table = _profile_table(trials[0], window, profile)
     count = len(trials)
+    drift = drifting and drifting.drift
     offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, [common] * count, [window] * count)
 
@@ -257,8 +268,9 @@ def _estimate_separate_offsets(
         posterior.standard_deviation,
         _longest_frame_interval_s(trials),
     )
-    drift, _ = _estimate_drift(joint_fits[0], backgrounds[0])
+    drifting = _estimate_drift(joint_fits[0], backgrounds[0])
     table = _profile_table(trials[0], windows[0], profiles[0])
+    drift = drifting and drifting.drift
     offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, fits, windows), joint_fits[0]
 
@@ -334,14 +346,16 @@ def _common_offset(
     trials' own offsets.
     """
     best_fit = likely_fits[0]
-    drift, with_drift = _estimate_drift(best_fit, backgrounds[0])
-    if drift is None:
+    drift = None
+    drifting = _estimate_drift(best_fit, backgrounds[0])
+    if drifting is None:
         posterior = _average_posterior(likely_fits, backgrounds, _slopes_by_one_offset)
+        offset, deviation_s = posterior.mean[0], posterior.standard_deviation[0]
     else:
-        posterior = replace(with_drift, mean=with_drift.mean + best_fit.offset)
+        offset, deviation_s, drift = drifting
     deviation_of_mean_s = scatter_s / np.sqrt(len(best_fit.data.trials))
-    deviation_s = np.hypot(posterior.standard_deviation[0], deviation_of_mean_s)
-    return Interval.from_deviation(added + posterior.mean[0], deviation_s, floor), drift
+    deviation_s = np.hypot(deviation_s, deviation_of_mean_s)
+    return Interval.from_deviation(added + offset, deviation_s, floor), drift
 
 
 def find_wrong_clock(
@@ -442,27 +456,33 @@ def _average_posterior(
     return average_by_evidence(likely_fits, posteriors)
 
 
-def _estimate_drift(
-    clock: ClockFit, background: Background
-) -> tuple[Interval | None, BackgroundPosterior]:
-    """Return the drift within trials, if it is detected, and the posterior with it.
+def _estimate_drift(clock: ClockFit, background: Background) -> DriftingClock | None:
+    """Estimate the drift within trials; return None if it is not detected.
 
-    The posterior has the offset in the middle of each trial, relative to the fit, and
-    the drift.
+    The estimate is that of a fit with a drift. Without one, the string makes up for it.
     """
+    drift = _posterior_with_drift(clock, background).drift
+    if max(drift.low, -drift.high) < MIN_DRIFT:
+        return None
+    drifting = fit_drift(clock)
+    if not explains_more(drifting, clock):
+        return None
+    return _posterior_with_drift(drifting, clock_background(drifting))
+
+
+def _posterior_with_drift(clock: ClockFit, background: Background) -> DriftingClock:
+    """Compute the posterior of offset and drift, linear at a fit."""
     columns = []
     slopes = time_slopes(clock)
     for trial, slope in zip(clock.data.trials, slopes, strict=True):
-        since_middle = trial.point_times - trial.times.mean()
-        columns.append(np.stack([slope, slope * np.repeat(since_middle, 2)]))
+        columns.append(np.stack([slope, slope * np.repeat(trial.point_times, 2)]))
     precision = np.array([NO_PRIOR, DRIFT_PRIOR**-2])
-    posterior = clock_posterior(clock, background, columns, precision)
-    deviation = posterior.standard_deviation[1]
-    drift = Interval.from_deviation(posterior.mean[1], deviation, 0.0)
-    is_possible = max(drift.low, -drift.high) >= MIN_DRIFT
-    if is_possible and explains_more(fit_drift(clock), clock):
-        return drift, posterior
-    return None, posterior
+    steps = clock_posterior(clock, background, columns, precision)
+    offset_step, drift_step = steps.mean
+    offset_deviation, drift_deviation = steps.standard_deviation
+    rate = clock.fit.values.get(DRIFT, 0.0) + drift_step
+    drift = Interval.from_deviation(rate, drift_deviation, 0.0)
+    return DriftingClock(clock.offset + offset_step, offset_deviation, drift)
 
 
 def _longest_frame_interval_s(trials: Sequence[CheckedTrial]) -> float:

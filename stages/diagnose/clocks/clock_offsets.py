@@ -36,6 +36,7 @@ from stringcast.stages.inference.trial_data import ByTrial, TrialData
 from stringcast.stages.model.library import effects_by_name
 
 OFFSET = "time_offset.offset"
+DRIFT = "clock_drift.rate"
 # Effects that are the clock itself
 CLOCK_EFFECTS = ("time_offset", "clock_drift")
 MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
@@ -255,7 +256,7 @@ def clock_posterior(
     Parameters
     ----------
     clock : ClockFit
-        The fit; the clock columns replace its offset.
+        The fit; the clock columns replace its offset and drift.
     background : Background
         Effects of up to MAX_SCALE_M.
     clock_columns : sequence of numpy.ndarray, shape (Q, 2 n)
@@ -264,11 +265,11 @@ def clock_posterior(
         Precision of the clock parameters' normal priors, centred at the fit.
     """
     fit = clock.fit
+    is_string = [name not in (OFFSET, DRIFT) for name in fit.hypothesis.model.names]
     slopes = []
     for columns, fit_slopes in zip(clock_columns, fit.slopes, strict=True):
-        string_slopes = np.delete(fit_slopes, clock.index, axis=0)
-        slopes.append(np.concatenate([columns, string_slopes]))
-    string_precision = np.full(len(fit.chi) - 1, PRIOR_PRECISION)
+        slopes.append(np.concatenate([columns, fit_slopes[is_string]]))
+    string_precision = np.full(sum(is_string), PRIOR_PRECISION)
     steps = posterior_of_steps(
         clock.data,
         fit,
