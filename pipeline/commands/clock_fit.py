@@ -18,11 +18,11 @@ from stringcast.pipeline.settings.model_settings import build_string
 from stringcast.stages.check.finding import Finding, error
 from stringcast.stages.check.measured import CheckedDataset
 from stringcast.stages.clock.offset import (
-    CLOCK_REMEDY,
     ClockOffset,
-    describe_wrong_clock,
+    describe_drift,
     estimate_clock_offset,
     find_wrong_clock,
+    wrong_clock_error,
 )
 from stringcast.stages.model.model import Model
 
@@ -32,13 +32,17 @@ SEED = 0  # of starting points of fits
 def estimate_offset(checked: CheckedDataset) -> ClockOffset:
     """Estimate the offset of the clocks of a dataset, with a bar on the terminal.
 
-    Raises DataError if nothing moves in a trial.
+    Raises DataError if nothing moves in a trial, or if the clocks run at rates that no
+    diagnosis represents.
     """
     model = plain_model(checked)
     observations = [trial.observation for trial in checked.with_points()]
     rng = np.random.default_rng(SEED)
     with progress_bar("clocks") as progress:
-        return estimate_clock_offset(model, observations, rng, progress)
+        clock = estimate_clock_offset(model, observations, rng, progress)
+    if clock.has_wrong_rate:
+        raise wrong_clock_error(clock, f"{checked.points_file} t")
+    return clock
 
 
 def plain_model(checked: CheckedDataset) -> Model:
@@ -59,8 +63,8 @@ def wrong_clock_findings(checked: CheckedDataset) -> list[Finding]:
         clock = find_wrong_clock(plain_model(checked), observations, rng, progress)
     if clock is None:
         return []
-    statement = describe_wrong_clock(clock)
-    return [error(checked.points_file, "t", statement, CLOCK_REMEDY)]
+    wrong = wrong_clock_error(clock, checked.points_file)
+    return [error(checked.points_file, "t", wrong.fault, wrong.remedy)]
 
 
 def apply_offset(imported: ImportedDataset, clock: ClockOffset) -> ImportedDataset:
@@ -113,10 +117,6 @@ def describe_offset(clock: ClockOffset, added: Mapping[str, float]) -> list[str]
     if not clock.is_common:
         notes.append("the trials do not have the same offset: each has its own")
     if clock.drift is not None:
-        value, low, high = (100 * number for number in clock.drift)
-        notes.append(
-            f"the camera's clock seems to run {abs(value):.1f} % "
-            f"{'slow' if value > 0 else 'fast'} (95 % interval {low:+.1f} to "
-            f"{high:+.1f} %): is its frame rate right? Give it with --fps"
-        )
+        drift = describe_drift(clock.drift)
+        notes.append(f"{drift}: is its frame rate right? Give it with --fps")
     return notes

@@ -10,6 +10,7 @@ import numpy as np
 from stringcast.data.artifacts import Observation
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.clocks.clock_offsets import (
+    DRIFT,
     OFFSET,
     ClockFit,
     better_fit,
@@ -37,6 +38,7 @@ from stringcast.stages.model.model import Model
 
 STARTS = 6  # of the search for the string's parameters and the offset
 FIXED_WITHIN_S = 1e-4  # half range of an offset that is given
+MAX_DRIFT = 0.35  # of the clocks within trials, as a share of time
 PROFILE_SIZE = 41  # offsets at which the likelihood is profiled
 
 
@@ -89,11 +91,21 @@ def _fit_with_discrepancy(
 
 
 def fit_drift(clock: ClockFit) -> ClockFit:
-    """Fit a drift of the clocks in addition to the offset, from a fit without it."""
+    """Fit a drift of the clocks in addition to the offset, from a fit without it.
+
+    Its range includes wrong frame rates. The offset is that at t = 0.
+    """
     hypothesis = clock.fit.hypothesis
     drifting = hypothesis.base.with_effects(ClockDrift)
-    hypothesis = replace(hypothesis, base=drifting)
-    start = hypothesis.exponents_from(clock.fit.exponents)
+    duration_s = max(float(trial.times[-1]) for trial in clock.data.trials)
+    low, high = drifting.measured_ranges[OFFSET]
+    ranges = {
+        **drifting.measured_ranges,
+        OFFSET: (low - MAX_DRIFT * duration_s, high + MAX_DRIFT * duration_s),
+        DRIFT: (-MAX_DRIFT, MAX_DRIFT),
+    }
+    hypothesis = replace(hypothesis, base=replace(drifting, measured_ranges=ranges))
+    start = hypothesis.model.exponents_of_values(clock.fit.values | {DRIFT: 0.0})
     fit = fit_hypothesis(clock.data, hypothesis, start[None], clock.fit.grid_points)
     return ClockFit(clock.data, fit)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -42,6 +41,7 @@ from stringcast.stages.common import Progress, partial_progress
 from stringcast.stages.diagnose.clocks.clock_offsets import (
     DRIFT,
     MIN_EXPLAINED_FRACTION,
+    OFFSET,
     STAMP_UNCERTAINTY_FRAMES,
     ClockFit,
     Interval,
@@ -62,6 +62,7 @@ from stringcast.stages.diagnose.evidence.background_effects import (
 )
 from stringcast.stages.diagnose.trials.preparation import usable_trials
 from stringcast.stages.inference.trial_data import ByTrial
+from stringcast.stages.model.effects.clock_drift import ClockDrift
 from stringcast.stages.model.model import Model
 
 EDGE_S = 0.02  # margin of the search around the window
@@ -100,13 +101,11 @@ class ClockOffset:
     drift: Interval | None
     profile: pd.DataFrame
 
-
-class DriftingClock(NamedTuple):
-    """The offset of a clock at t = 0 with its standard deviation [s], and its drift."""
-
-    offset: float
-    deviation: float
-    drift: Interval
+    @property
+    def has_wrong_rate(self) -> bool:
+        """Whether the drift is beyond the range that a diagnosis searches."""
+        (rate,) = ClockDrift.parameters
+        return self.drift is not None and not rate.low < self.drift.value < rate.high
 
 
 @dataclass(frozen=True)
@@ -124,8 +123,11 @@ class FittedOffset:
         """Return whether an offset beyond the range of a diagnosis explains the motion.
 
         It does if geometry excludes zero, or if it removes enough of the mean square
-        misfit at the tip. The fit for this comparison takes seconds.
+        misfit at the tip. The fit for this comparison takes seconds. A drift has
+        already passed such a comparison.
         """
+        if self.clock.has_wrong_rate:
+            return True
         # all trials have the interval of the first if one fit is for all
         intervals = self.clock.by_trial.values()
         for interval, fit, window in zip(
@@ -179,7 +181,7 @@ def fit_clock_offset(
     window = windows[used[0].name]
     part = partial_progress(progress, 0, 2)
     plain_fit, profile = _fit_within(model, used, window, rng, part)
-    common_fits = fits_with_causes(plain_fit)
+    common_fits = _likely_fits(plain_fit)
     if common_fits[0] is not plain_fit:
         profile = profile_offset(common_fits[0], window.half_width + EDGE_S)
     together = _describe_common(common_fits, profile, used, window)
@@ -224,10 +226,9 @@ def _separate_offsets_near(
         own.standard_deviation,
         frame_s,
     )
-    drifting = _estimate_drift(separate, clock_background(separate))
+    drift = _drift_of(separate, clock_background(separate))
     table = _profile_table(trials[0], window, profile)
     count = len(trials)
-    drift = drifting and drifting.drift
     offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, [common] * count, [window] * count)
 
@@ -258,7 +259,8 @@ def _estimate_separate_offsets(
 
     shifted = shift_observations([trial.observation for trial in trials], alone)
     part = partial_progress(progress, len(trials), len(trials) + 1)
-    joint_fits = fits_with_causes(fit_clock(model, shifted, EDGE_S, rng, part))
+    joint_fit = fit_clock(model, shifted, EDGE_S, rng, part)
+    joint_fits = _likely_fits(joint_fit)
     backgrounds = [clock_background(clock) for clock in joint_fits]
     posterior = _average_posterior(joint_fits, backgrounds, slopes_by_offset)
     values_s = np.array([*alone.values()]) + posterior.mean
@@ -268,9 +270,8 @@ def _estimate_separate_offsets(
         posterior.standard_deviation,
         _longest_frame_interval_s(trials),
     )
-    drifting = _estimate_drift(joint_fits[0], backgrounds[0])
+    drift = _drift_of(joint_fits[0], backgrounds[0])
     table = _profile_table(trials[0], windows[0], profiles[0])
-    drift = drifting and drifting.drift
     offset = ClockOffset(by_trial, False, drift, table)
     return FittedOffset(offset, fits, windows), joint_fits[0]
 
@@ -287,13 +288,11 @@ def _describe_common(
     backgrounds = [clock_background(clock) for clock in likely_fits]
     own = _average_posterior(likely_fits, backgrounds, slopes_by_offset)
     scatter_s = scatter_of_trials(own)
-    interval, drift = _common_offset(
-        likely_fits, backgrounds, window.middle, floor, scatter_s
-    )
+    interval = _common_offset(likely_fits, backgrounds, window.middle, floor, scatter_s)
     estimate = ClockOffset(
         by_trial=dict.fromkeys([trial.name for trial in trials], interval),
         is_common=not trials_differ(own, frame_s),
-        drift=drift,
+        drift=_drift_of(likely_fits[0], backgrounds[0]),
         profile=_profile_table(trials[0], window, profile),
     )
     return FittedOffset(estimate, [likely_fits[0]], [window])
@@ -337,25 +336,17 @@ def _common_offset(
     added: float,
     floor: float,
     scatter_s: float,
-) -> tuple[Interval, Interval | None]:
-    """Return the offset that all trials share, and their drift if one is detected.
+) -> Interval:
+    """Return the offset that all trials share.
 
-    likely_fits: the best first. backgrounds: the response of each fit to other effects.
-    added: offset added to the camera's times before the fits [s]. floor: uncertainty of
-    time stamps, added to the half width of the interval [s]. scatter_s: scatter of the
-    trials' own offsets.
+    backgrounds: the response of each fit to other effects. added: offset added to the
+    camera's times before the fits [s]. floor: uncertainty of time stamps, added to the
+    half width of the interval [s]. scatter_s: scatter of the trials' own offsets.
     """
-    best_fit = likely_fits[0]
-    drift = None
-    drifting = _estimate_drift(best_fit, backgrounds[0])
-    if drifting is None:
-        posterior = _average_posterior(likely_fits, backgrounds, _slopes_by_one_offset)
-        offset, deviation_s = posterior.mean[0], posterior.standard_deviation[0]
-    else:
-        offset, deviation_s, drift = drifting
-    deviation_of_mean_s = scatter_s / np.sqrt(len(best_fit.data.trials))
-    deviation_s = np.hypot(deviation_s, deviation_of_mean_s)
-    return Interval.from_deviation(added + offset, deviation_s, floor), drift
+    posterior = _average_posterior(likely_fits, backgrounds, _slopes_by_one_offset)
+    deviation_of_mean_s = scatter_s / np.sqrt(len(likely_fits[0].data.trials))
+    deviation_s = np.hypot(posterior.standard_deviation[0], deviation_of_mean_s)
+    return Interval.from_deviation(added + posterior.mean[0], deviation_s, floor)
 
 
 def find_wrong_clock(
@@ -404,17 +395,33 @@ def refuse_wrong_clock(
     """Raise DataError with the offset for trials whose clocks certainly differ."""
     clock = find_wrong_clock(model, observations, rng)
     if clock is not None:
-        raise DataError("points t", describe_wrong_clock(clock), CLOCK_REMEDY)
+        raise wrong_clock_error(clock, "points t")
 
 
-def describe_wrong_clock(clock: ClockOffset) -> str:
-    """State the offset of clocks, in the trial in which it is largest."""
+def wrong_clock_error(clock: ClockOffset, place: str) -> DataError:
+    """Describe clocks that certainly differ, and what to do."""
+    if clock.drift is not None and clock.has_wrong_rate:
+        ratio = 1 / (1 + clock.drift.value)
+        fault = f"{describe_drift(clock.drift)}: its frame rate is wrong"
+        remedy = f"Give {ratio:.3f} times the rate with --fps, or divide t by that"
+        return DataError(place, fault, remedy)
     name, worst = max(clock.by_trial.items(), key=lambda item: abs(item[1].value))
     value, low, high = worst.in_milliseconds()
     where = "" if clock.is_common else f" in trial {name}"
-    return (
+    fault = (
         f"the clocks of arm and camera differ by {value:+.0f} ms{where} (95 % interval "
         f"{low:+.0f} to {high:+.0f} ms), according to the motion of hand and string"
+    )
+    return DataError(place, fault, CLOCK_REMEDY)
+
+
+def describe_drift(drift: Interval) -> str:
+    """State how much slower or faster the camera's clock runs than the arm's."""
+    direction = "slow" if drift.value > 0 else "fast"
+    low, high = sorted(100 * abs(end) for end in (drift.low, drift.high))
+    return (
+        f"the camera's clock seems to run {100 * abs(drift.value):.1f} % {direction} "
+        f"(95 % interval {low:.1f} to {high:.1f} %)"
     )
 
 
@@ -456,33 +463,32 @@ def _average_posterior(
     return average_by_evidence(likely_fits, posteriors)
 
 
-def _estimate_drift(clock: ClockFit, background: Background) -> DriftingClock | None:
-    """Estimate the drift within trials; return None if it is not detected.
-
-    The estimate is that of a fit with a drift. Without one, the string makes up for it.
-    """
-    drift = _posterior_with_drift(clock, background).drift
+def _likely_fits(plain_fit: ClockFit) -> list[ClockFit]:
+    """List likely fits, with a cause or a drift within trials, the best first."""
+    fits = fits_with_causes(plain_fit)
+    drift = _linear_drift(fits[0], clock_background(fits[0]))
     if max(drift.low, -drift.high) < MIN_DRIFT:
-        return None
-    drifting = fit_drift(clock)
-    if not explains_more(drifting, clock):
-        return None
-    return _posterior_with_drift(drifting, clock_background(drifting))
+        return fits
+    # A cause may have stood in for the drift, so they are sought again
+    drifting = fits_with_causes(fit_drift(plain_fit))
+    return drifting if explains_more(drifting[0], fits[0]) else fits
 
 
-def _posterior_with_drift(clock: ClockFit, background: Background) -> DriftingClock:
-    """Compute the posterior of offset and drift, linear at a fit."""
+def _drift_of(clock: ClockFit, background: Background) -> Interval | None:
+    """Return the drift of a fit; None if it has none."""
+    return _linear_drift(clock, background) if DRIFT in clock.fit.values else None
+
+
+def _linear_drift(clock: ClockFit, background: Background) -> Interval:
+    """Estimate the drift, linear at a fit with or without one."""
     columns = []
     slopes = time_slopes(clock)
     for trial, slope in zip(clock.data.trials, slopes, strict=True):
         columns.append(np.stack([slope, slope * np.repeat(trial.point_times, 2)]))
     precision = np.array([NO_PRIOR, DRIFT_PRIOR**-2])
-    steps = clock_posterior(clock, background, columns, precision)
-    offset_step, drift_step = steps.mean
-    offset_deviation, drift_deviation = steps.standard_deviation
-    rate = clock.fit.values.get(DRIFT, 0.0) + drift_step
-    drift = Interval.from_deviation(rate, drift_deviation, 0.0)
-    return DriftingClock(clock.offset + offset_step, offset_deviation, drift)
+    steps = clock_posterior(clock, background, columns, precision, (OFFSET, DRIFT))
+    drift = clock.fit.values.get(DRIFT, 0.0) + steps.mean[1]
+    return Interval.from_deviation(drift, steps.standard_deviation[1], 0.0)
 
 
 def _longest_frame_interval_s(trials: Sequence[CheckedTrial]) -> float:

@@ -30,11 +30,11 @@ from stringcast.stages.clock.fit import model_with_offset
 from stringcast.stages.clock.hidden_causes import average_by_evidence
 from stringcast.stages.clock.offset import (
     ClockOffset,
-    DriftingClock,
     FittedOffset,
     estimate_clock_offset,
     find_wrong_clock,
     refuse_wrong_clock,
+    wrong_clock_error,
 )
 from stringcast.stages.clock.windows import (
     Window,
@@ -200,15 +200,34 @@ def test_trials_with_separate_clocks_get_separate_offsets():
         assert interval.high - interval.low < 4 * FRAME_S
 
 
-def test_the_drift_of_a_slow_clock_is_within_its_interval(few_starts):
-    """The arm's clock gains 2 % on the camera's, and both agree at t = 0."""
+def with_slow_clock(rate):
+    """Return two trials in which the arm's clock gains a rate on the camera's.
+
+    Both agree at t = 0.
+    """
     slow = []
     for seen in TRIALS[:2]:
-        points = seen.points.assign(t=seen.points["t"] / 1.02)
+        points = seen.points.assign(t=seen.points["t"] / (1 + rate))
         slow.append(replace(seen.observation, points=points))
+    return slow
+
+
+@pytest.mark.long
+def test_the_drift_of_a_slow_clock_is_within_its_interval():
+    slow = with_slow_clock(0.02)
     found = estimate_clock_offset(MODEL, slow, np.random.default_rng(0))
     assert found.drift.low < 0.02 < found.drift.high
     assert found.by_trial["t00"].low < 0.0 < found.by_trial["t00"].high
+
+
+def test_a_wrong_frame_rate_is_refused(few_starts):
+    """The camera's times are those of 200 frames per second instead of 240."""
+    rate = 200 / 240 - 1
+    wrong = find_wrong_clock(MODEL, with_slow_clock(rate), np.random.default_rng(0))
+    assert wrong.drift.low < rate < wrong.drift.high
+    assert wrong.by_trial["t00"].low < 0.0 < wrong.by_trial["t00"].high
+    message = r"16\.\d % fast .* Give 1\.(19|20)\d times the rate"
+    assert re.search(message, str(wrong_clock_error(wrong, "points.parquet")))
 
 
 def clock_with(log_likelihoods, misfit_m):
@@ -320,18 +339,12 @@ def fit_of_evidence(log_evidence, **data):
     return SimpleNamespace(data=SimpleNamespace(**data), fit=fit, offset=0.0)
 
 
-@pytest.mark.parametrize("drift", [None, Interval(0.02, 0.01, 0.03)])
-def test_trials_that_scatter_widen_the_common_offset_with_and_without_drift(
-    drift, monkeypatch
-):
+def test_trials_that_scatter_widen_the_common_offset(monkeypatch):
     """The posterior is exact here; the mean of four trials has half the scatter."""
     fits = [fit_of_evidence(0.0, trials=range(4))]
     exact = BackgroundPosterior(np.zeros(1), np.zeros((1, 1)))
-    drifting = drift and DriftingClock(0.0, 0.0, drift)
     monkeypatch.setattr(offset, "_average_posterior", lambda *given: exact)
-    monkeypatch.setattr(offset, "_estimate_drift", lambda *given: drifting)
-    interval, found = offset._common_offset(fits, [[]], 0.3, 0.001, scatter_s=0.01)
-    assert found is drift
+    interval = offset._common_offset(fits, [[]], 0.3, 0.001, scatter_s=0.01)
     assert interval.value == pytest.approx(0.3)
     expected_s = 2 * (1.4 * 1.96 * 0.005 + 0.001)
     assert interval.high - interval.low == pytest.approx(expected_s)

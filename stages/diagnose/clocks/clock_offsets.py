@@ -8,7 +8,7 @@ unexplained misfit. This is linearised at the fit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -86,8 +86,9 @@ class ClockFit:
 
     @property
     def offset(self) -> float:
-        """The offset of the fit [s]."""
-        return self.fit.values[OFFSET]
+        """The offset to add to the camera's times [s]; a drift acts afterwards."""
+        values = self.fit.values
+        return values[OFFSET] / (1 + values.get(DRIFT, 0.0))
 
 
 def better_fit(*fits: ClockFit) -> ClockFit:
@@ -250,26 +251,29 @@ def clock_posterior(
     background: Background,
     clock_columns: ByTrial,
     precision: np.ndarray,
+    replaced: Collection[str] = (OFFSET,),
 ) -> BackgroundPosterior:
     """Compute the posterior of clock parameters relative to the fit.
 
     Parameters
     ----------
     clock : ClockFit
-        The fit; the clock columns replace its offset and drift.
+        The fit.
     background : Background
         Effects of up to MAX_SCALE_M.
     clock_columns : sequence of numpy.ndarray, shape (Q, 2 n)
         Derivatives of residuals by the clock parameters.
     precision : numpy.ndarray, shape (Q,)
         Precision of the clock parameters' normal priors, centred at the fit.
+    replaced : collection of str
+        Names of parameters of the fit that the columns replace.
     """
     fit = clock.fit
-    is_string = [name not in (OFFSET, DRIFT) for name in fit.hypothesis.model.names]
+    is_kept = [name not in replaced for name in fit.hypothesis.model.names]
     slopes = []
     for columns, fit_slopes in zip(clock_columns, fit.slopes, strict=True):
-        slopes.append(np.concatenate([columns, fit_slopes[is_string]]))
-    string_precision = np.full(sum(is_string), PRIOR_PRECISION)
+        slopes.append(np.concatenate([columns, fit_slopes[is_kept]]))
+    string_precision = np.full(sum(is_kept), PRIOR_PRECISION)
     steps = posterior_of_steps(
         clock.data,
         fit,
