@@ -44,7 +44,7 @@ MIN_EXPLAINED_FRACTION = 0.5  # of the misfit, for an offset that is certain
 STAMP_UNCERTAINTY_FRAMES = 0.1
 SIGNIFICANCE = 1e-3  # p-value below which trials do not have the same offset
 MAX_SCALE_M = 0.1  # of the tip displacement by effects
-MAX_STEPS = 6  # of separate offsets
+MAX_STEPS = 20  # of separate offsets; ten were needed for differences of 0.1 s
 
 
 class Interval(NamedTuple):
