@@ -15,7 +15,11 @@ from stringcast.data.images import CachedImages
 from stringcast.data.lazy_module import LazyModule
 from stringcast.data.schema import DataError
 from stringcast.stages.common import Progress, choose_evenly
-from stringcast.stages.extract.arm_in_image import ArmFit, fit_arm
+from stringcast.stages.extract.arm_in_image import (
+    MIN_HAND_SHIFT_PX,
+    ArmFit,
+    fit_arm,
+)
 from stringcast.stages.extract.centreline import (
     MIN_PROFILE_REACH_PX,
     Centreline,
@@ -51,6 +55,8 @@ MAX_EXTRA_HALF_WIDTH_PX = 2.0  # of the string in one frame over that in the fil
 # From this half width on, brightness has no sharp maximum in the middle.
 WIDE_STRING_HALF_WIDTH_PX = 3.0
 HAND_SIGMA_PX = 0.5  # of a coordinate of the hand, if fitted to the frames
+# Of a reported hand: a shift is not noticed up to MIN_HAND_SHIFT_PX
+REPORTED_HAND_SIGMA_PX = MIN_HAND_SHIFT_PX / np.sqrt(3)
 TRACE_START_MARGIN_PX = 8.0  # of the beginning of a line beyond the hidden length
 
 
@@ -140,8 +146,12 @@ def extract(
     frames = _sample_frames(images)
     uncovered = uncovered_brightness(frames)
     arm_fit = fit_arm(footage, camera, uncovered, arm_width_px)
+    hand_sigma = 0.0  # the pose of the grasp was measured
     if arm_fit is not None:
         footage = footage.with_body(arm_fit.body)
+        hand_sigma = HAND_SIGMA_PX
+    elif footage.body is not None:
+        hand_sigma = REPORTED_HAND_SIGMA_PX
     length_px = string_length * camera.px_per_m
     scene, half_width = _estimate_scene(
         frames, uncovered, footage, camera, arm_width_px, length_px
@@ -156,7 +166,7 @@ def extract(
         hidden=hidden * camera.px_per_m,
         shorter=shorter,
         longer=longer,
-        hand_sigma=0.0 if arm_fit is None else HAND_SIGMA_PX,
+        hand_sigma=hand_sigma,
     )
     readings: list[FrameReading | str] = []
     for number in range(len(footage.t)):

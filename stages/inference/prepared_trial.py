@@ -77,6 +77,9 @@ class PreparedTrial:
     by_share
         Whether `s` is the share of the line's length in the frame, times the string's
         length: a line without marks does not show where the string is stretched.
+    line_start
+        Start of the line of each point, (N, 2) [m]; NaN if it was not measured. The
+        line was read from there on, even if the hand is elsewhere.
     """
 
     name: str
@@ -98,6 +101,7 @@ class PreparedTrial:
         default=UNIT_ERRORS, repr=False
     )
     by_share: bool = False
+    line_start: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def discrepancy(self) -> Discrepancy:
@@ -163,7 +167,8 @@ class PreparedTrial:
         string = self.model.string
         if self.by_share:
             share = self.s / string.length
-            return np.asarray(interpolate_shares(points, self.frame, share))
+            sampled = interpolate_shares(points, self.frame, share, self.line_start)
+            return np.asarray(sampled)
         position = self.s / string.segment_length
         return np.asarray(interpolate_measurements(points, self.frame, position))
 
@@ -186,7 +191,7 @@ class PreparedTrial:
         """A digest of all inputs of the points' simulation except the model."""
         start = [self.motion, self.initial_state, self.turn]
         length = self.model.string.segment_length
-        places = [self.frame, self.s, np.array([self.by_share])]
+        places = [self.frame, self.s, np.array([self.by_share]), self.line_start]
         return content_digest([*start, self.times, *places, length])
 
     def shift_times(self, seconds: float) -> PreparedTrial:
@@ -217,6 +222,7 @@ class PreparedTrial:
             s=self.s[kept],
             points=self.points[kept],
             sigma=self.sigma[kept],
+            line_start=self.line_start[kept] if self.by_share else self.line_start,
             error_model=UNIT_ERRORS,
         )
 
@@ -254,16 +260,20 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
         )
     times, frame = np.unique(points["t"].to_numpy(), return_inverse=True)
     sigma_is_known = "sigma" in points
+    s = points["s"].to_numpy()
+    xy = points[["x", "y"]].to_numpy()
+    by_share = "by_share" in points and bool(points["by_share"].all())
     trial = PreparedTrial(
         name=observation.trial,
         model=model,
         motion=observed_motion(observation).extended_until(times[-1]),
         times=times,
         frame=frame,
-        s=points["s"].to_numpy(),
-        points=points[["x", "y"]].to_numpy(),
+        s=s,
+        points=xy,
         sigma=points["sigma"].to_numpy() if sigma_is_known else np.ones(len(points)),
-        by_share="by_share" in points and bool(points["by_share"].all()),
+        by_share=by_share,
+        line_start=find_line_starts(frame, s, xy) if by_share else np.zeros((0, 2)),
     )
     hand = trial.motion.actual_hand_motion(model.arm, ())
     if observation.starts_moving:
@@ -276,6 +286,18 @@ def prepare_trial(model: Model, observation: Observation) -> PreparedTrial:
     except DataError:  # the first frames do not show the side
         return trial
     return replace(trial, turn=_turn_from_hand(hand, start))
+
+
+def find_line_starts(
+    frame: np.ndarray, s: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """Find the point (2,) at s = 0 in the frame of each point, (N, 2); NaN without one.
+
+    frame, s: frame and arc length of points (N, 2) [m], sorted by both.
+    """
+    _, first, number = np.unique(frame, return_index=True, return_inverse=True)
+    starts = np.where(s[first, None] == 0, points[first], np.nan)
+    return np.asarray(starts[number])
 
 
 def _estimate_start(

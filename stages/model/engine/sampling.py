@@ -191,11 +191,13 @@ def interpolate_measurements(
 
 @compile_kernel
 def interpolate_shares(
-    points: np.ndarray, frame: np.ndarray, share: np.ndarray
+    points: np.ndarray, frame: np.ndarray, share: np.ndarray, start: np.ndarray
 ) -> np.ndarray:
-    """Interpolate positions at shares of a string's length in its frame.
+    """Interpolate positions at shares of the length of a line that was read.
 
-    The length of a segment is that of an arc which bends like its two ends.
+    The line starts where the hand was believed, and not where it is. So the string is
+    extended, or cut, along its first segment, until it starts beside that place. The
+    length of a segment is that of an arc which bends like its two ends.
 
     Parameters
     ----------
@@ -205,6 +207,8 @@ def interpolate_shares(
         Frame of each measurement.
     share : ndarray of shape (N,)
         Length up to the measurement over the whole length, 0 to 1.
+    start : ndarray of shape (N, 2)
+        Start of the line in the frame of each measurement; NaN if the string starts it.
 
     Returns
     -------
@@ -217,11 +221,20 @@ def interpolate_shares(
     depth = np.zeros(segments + 1)  # length up to each point
     for c in range(count):
         segment = 0
+        before = 0.0  # length of the line before the string
         for k in range(len(share)):
+            line = points[c, frame[k]]
             if k == 0 or frame[k] != frame[k - 1]:
-                _measure_arcs(points[c, frame[k]], depth)
+                _measure_arcs(line, depth)
+                before = _length_before(line, start[k])
                 segment = 0
-            wanted = share[k] * depth[segments]
+            wanted = share[k] * (before + depth[segments]) - before
+            if wanted < 0:
+                factor = wanted / np.hypot(
+                    line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]
+                )
+                result[c, k] = line[0] + factor * (line[1] - line[0])
+                continue
             while segment > 0 and depth[segment] > wanted:
                 segment -= 1
             while segment < segments - 1 and depth[segment + 1] < wanted:
@@ -232,10 +245,23 @@ def interpolate_shares(
             _weigh_nodes(segment + inside - first, nodes, weight)
             x, y = 0.0, 0.0
             for i in range(nodes):
-                x += weight[i] * points[c, frame[k], first + i, 0]
-                y += weight[i] * points[c, frame[k], first + i, 1]
+                x += weight[i] * line[first + i, 0]
+                y += weight[i] * line[first + i, 1]
             result[c, k, 0], result[c, k, 1] = x, y
     return result
+
+
+@compile_kernel
+def _length_before(line: np.ndarray, start: np.ndarray) -> float:
+    """Compute how far a start (2,) lies before a string (n, 2), along its beginning.
+
+    It is 0 for an unknown start.
+    """
+    if np.isnan(start[0]):
+        return 0.0
+    dx, dy = line[1, 0] - line[0, 0], line[1, 1] - line[0, 1]
+    ahead = (line[0, 0] - start[0]) * dx + (line[0, 1] - start[1]) * dy
+    return ahead / np.hypot(dx, dy)
 
 
 @compile_kernel
