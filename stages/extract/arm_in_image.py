@@ -17,7 +17,7 @@ import numpy as np
 from stringcast.data.lazy_module import LazyModule
 from stringcast.stages.common import choose_evenly
 from stringcast.stages.extract.footage import Footage
-from stringcast.stages.extract.segment import grey_noise
+from stringcast.stages.extract.segment import OUTLINE_ERROR_PX, grey_noise
 from stringcast.stages.model.camera import Camera
 from stringcast.stages.model.polyline import turn_left
 
@@ -35,7 +35,6 @@ OFFSET_SIGMA_RAD = 0.1
 GAIN_SIGMA = 0.1
 LAG_SIGMA_S = 0.01
 BASE_SIGMA_M = 0.02
-OUTLINE_MARGIN_PX = 2.0  # tolerance of a pixel outside the links
 MAX_MISSED_SHARE = 0.1  # of the arm's pixels, outside the fitted links
 MIN_MISSED_SHARE = 0.02  # outside the reported links; below it these are right
 MAX_MISSED_RATIO = 0.5  # of pixels outside the fitted links to outside the reported
@@ -141,7 +140,7 @@ def fit_arm(
     body = arm.joint_positions(parameters)
     hand_shift = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=-1)
 
-    reach = width_m / 2 + OUTLINE_MARGIN_PX / camera.px_per_m
+    reach = width_m / 2 + OUTLINE_ERROR_PX / camera.px_per_m
     as_reported = np.zeros_like(parameters)
     missed_before = _share_beyond(reach, arm, as_reported, frame, place)
     missed = _share_beyond(reach, arm, parameters, frame, place)

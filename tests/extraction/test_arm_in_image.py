@@ -18,8 +18,12 @@ ARM_WIDTH_M = 0.035
 JOINT_GAIN = {"joint_gain": {"gain": 0.04}}
 
 
-def film_cast(arm, camera, hidden, look=None):
-    """Film a short fast swing; return footage, true arm and true tip (F, ...) [m]."""
+FAST = (14.6, 10.4, -16.7)  # speeds of the joints [rad/s]
+SLOW = (1.5, 1.0, -1.7)
+
+
+def film_cast(arm, camera, hidden, look=None, speeds=FAST):
+    """Film a short swing; return footage, true arm and true tip (F, ...) [m]."""
     bench = VirtualBench(
         arm,
         camera,
@@ -27,7 +31,7 @@ def film_cast(arm, camera, hidden, look=None):
         seed=3,
         look=look or Look(),
     )
-    motion = swing(duration=0.24, speeds=(14.6, 10.4, -16.7))
+    motion = swing(duration=0.24, speeds=speeds)
     trial = execute(
         motion, VirtualArm(bench), VirtualCamera(bench), before=0.05, after=0.05
     )
@@ -35,6 +39,20 @@ def film_cast(arm, camera, hidden, look=None):
     body = bench.camera_view(bench.joints_at, t)
     tip = bench.camera_view(bench.string_at, t)[:, -1]
     return footage_from_joints(trial.film, arm), body, tip
+
+
+def read_string(footage, camera):
+    return extract(
+        footage,
+        camera,
+        string_length=0.3,
+        points=31,
+        sigmas=6.0,
+        arm_width=ARM_WIDTH_M,
+        hidden=0.01,
+        shorter=0.08,
+        longer=0.4,
+    )
 
 
 def find_arm(footage, camera):
@@ -45,17 +63,7 @@ def find_arm(footage, camera):
 def test_a_string_is_read_if_joints_turn_more_than_reported(arm, camera):
     slow = replace(camera, fps=100.0)
     footage, body, tip = film_cast(arm, slow, JOINT_GAIN)
-    points = extract(
-        footage,
-        slow,
-        string_length=0.3,
-        points=31,
-        sigmas=6.0,
-        arm_width=ARM_WIDTH_M,
-        hidden=0.01,
-        shorter=0.08,
-        longer=0.4,
-    )
+    points = read_string(footage, slow)
     readings = points.readings
     assert readings["valid"].mean() >= 0.95
     distance = np.linalg.norm(readings[["tip_x", "tip_y"]] - tip, axis=1)
@@ -86,6 +94,29 @@ def test_errors_of_camera_and_clock_are_found(arm, camera, hidden):
     after = np.linalg.norm(body - find_arm(footage, camera).body, axis=-1)[:, -1]
     assert before.max() > 5 / camera.px_per_m
     assert after.max() < 2 / camera.px_per_m
+
+
+def test_an_arm_that_shows_beyond_its_outline_is_found(arm, camera):
+    """Its edge, 2 px wide, was taken for a string, and most frames were refused."""
+    slow = replace(camera, fps=100.0)
+    rotation = {"camera_rotation": {"angle": 0.01}}
+    footage, _, tip = film_cast(arm, slow, rotation, speeds=SLOW)
+    readings = read_string(footage, slow).readings
+    assert readings["valid"].all()
+    distance = np.linalg.norm(readings[["tip_x", "tip_y"]] - tip, axis=1)
+    assert distance.max() < 1 / camera.px_per_m
+
+
+def test_a_hand_as_reported_is_known_as_well_as_a_shift_is_noticed(arm, camera):
+    """It was stated to be known to 0.1 mm, and pulled a joint gain to zero."""
+    slow = replace(camera, fps=100.0)
+    footage, body, _ = film_cast(arm, slow, JOINT_GAIN, speeds=SLOW)
+    points = read_string(footage, slow)
+    assert "hand_shift" not in points.readings
+    at_grasp = points.points[points.points["s"] == 0]
+    missed = np.linalg.norm(body[:, -1] - footage.body[:, -1], axis=1)
+    assert missed.max() > 5 * 1e-4
+    assert missed.max() < 2 * at_grasp["sigma"].min()
 
 
 @pytest.mark.parametrize(
