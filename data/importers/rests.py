@@ -22,6 +22,7 @@ HAND_LEAD_S, STRING_LEAD_S = 1.2, 0.5
 # Longest time between beginnings of motion of hand and string: the string is slack, or
 # its recording begins earlier
 MAX_LAG_S = 0.6
+MIN_MOTIONS = 3  # that show the offset of unknown clocks
 LEVER_M = 0.3  # from the hand to a point that shows its direction
 
 
@@ -145,7 +146,8 @@ def begins_motion(is_resting: np.ndarray) -> np.ndarray:
 def offset_of_motions(hand_t: np.ndarray, string_t: np.ndarray) -> float | None:
     """Return the offset of clocks at which most motions begin together [s].
 
-    Returns None if there are few of them, or if another offset is as good.
+    Clocks that agree are preferred. Returns None if few motions show an offset, or if
+    another one is as good.
 
     hand_t, string_t: beginnings of the motions of the hand (M,) and the string (N,).
     """
@@ -155,12 +157,16 @@ def offset_of_motions(hand_t: np.ndarray, string_t: np.ndarray) -> float | None:
     distances = hand_t[:, None] - string_t - offsets[:, None, None]  # (MN, M, N)
     is_matched = np.abs(distances).min(axis=1) < MAX_LAG_S
     counts = is_matched.sum(axis=1)
-    if counts.max(initial=0) < max(2, 0.5 * len(string_t)):
+    most = counts.max(initial=0)
+    if most < max(2, 0.5 * len(string_t)):
         return None
-    best = offsets[counts == counts.max()]
-    if np.ptp(best) < 2 * MAX_LAG_S:
-        return float(np.median(best))
-    return 0.0 if np.abs(best).min() < MAX_LAG_S else None
+    best = offsets[counts == most]
+    agreeing = best[np.abs(best) < MAX_LAG_S]
+    if len(agreeing):
+        return float(np.median(agreeing))
+    if most < MIN_MOTIONS or np.ptp(best) > 2 * MAX_LAG_S:
+        return None
+    return float(np.median(best))
 
 
 def find_rests_of_hand(motion: pd.DataFrame, t: np.ndarray) -> np.ndarray:

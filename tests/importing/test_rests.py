@@ -125,3 +125,11 @@ def test_files_are_not_paired_by_guess_if_motions_are_alike(tmp_path):
     same_clock = hand.assign(t=hand["t"] - CLOCK_S)
     tables = import_session(tmp_path, same_clock, seen)
     assert tables.motion["trial"].nunique() == 2
+
+
+def test_two_motions_do_not_show_the_offset_of_clocks(tmp_path):
+    """One interval between motions may occur by chance at a wrong offset."""
+    tip = record_tip()
+    seen = near_casts(tip, CAST_S[:2])
+    with pytest.raises(DataError, match="The hand was recorded in the trials t00"):
+        import_session(tmp_path, record_hand(), seen)
