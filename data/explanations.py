@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -71,8 +72,15 @@ EXPLANATION_SUMMARY = Table(
     fitted [1] (int): causes that were fitted
     sentence (text): the verdict in words
     rms_without [m] (optional): centre-line residual of the model without causes
+    screened (text, optional): sets of causes to which all effects were added, in these
+        or earlier trials; names are separated by spaces, and each set ends with ;
     """),
 )
+
+
+def describe_bases(bases: Collection[tuple[str, ...]]) -> str:
+    """Describe sets of causes, as the column `screened`."""
+    return "".join(" ".join(base) + ";" for base in sorted(bases))
 
 
 @dataclass(frozen=True)
@@ -123,6 +131,14 @@ class Explanation(Estimate):
         if self.explanations.empty:
             return 0.0
         return 1 - sum(self.cause_sets.values())
+
+    @property
+    def screened_bases(self) -> list[tuple[str, ...]]:
+        """Sets of causes to which all effects were added, also in earlier trials."""
+        if "screened" not in self.finding:
+            return []
+        *bases, _ = str(self.finding["screened"].iloc[0]).split(";")
+        return [tuple(base.split()) for base in bases]
 
     @property
     def causes(self) -> dict[str, float]:

@@ -122,6 +122,8 @@ class CauseSearch:
         Probable causes of earlier trials.
     rivals : sequence of Finalist
         Those of them that were not fitted to these trials; their residual is NaN.
+    screened_earlier : collection
+        Bases of screenings with earlier trials.
 
     Attributes
     ----------
@@ -146,6 +148,7 @@ class CauseSearch:
     is_surprising: bool = False
     earlier: Collection[Causes] = ()
     rivals: Sequence[Finalist] = ()
+    screened_earlier: Collection[Causes] = ()
     screenings: dict[Causes, Screening] = field(default_factory=dict, init=False)
     parts: dict[Causes, Finalist] = field(default_factory=dict, init=False)
     rival_gain: float = field(default=0.0, init=False)
@@ -459,16 +462,23 @@ class CauseSearch:
         is_explained = is_fitted and self.is_explained(leading)
         if len(leading.causes) < MAX_CAUSES and not is_explained:
             bases.append(leading.causes)
-        tried = self.comparisons().keys()
         near = {leading.causes}
-        untried = set[Causes]()
         for base in bases:
-            added = {effect.name for effect in self.effects} - set(base)
-            sets = {tuple(sorted([*base, name])) for name in added}
-            near |= sets
-            if base not in self.screenings:
-                untried |= sets - tried
-        return len(untried) / len(near)
+            near |= self.sets_around(base)
+
+        tried = set(self.comparisons())
+        for base in self.screenings:
+            tried |= self.sets_around(base)
+        # Causes that lost in earlier trials may act in trials with an unexplained rest
+        if is_explained:
+            for base in self.screened_earlier:
+                tried |= self.sets_around(base)
+        return len(near - tried) / len(near)
+
+    def sets_around(self, base: Causes) -> set[Causes]:
+        """Return the sets of causes that a screening compares: a base and an effect."""
+        added = {effect.name for effect in self.effects} - set(base)
+        return {tuple(sorted([*base, name])) for name in added}
 
     def is_exchanged(self, best: Comparison) -> bool:
         """Return whether each of the explaining causes was exchanged for all others."""

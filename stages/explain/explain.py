@@ -15,7 +15,7 @@ from pydantic import NonNegativeFloat, PositiveInt
 
 from stringcast.data.artifacts import Observation
 from stringcast.data.estimates import Estimate
-from stringcast.data.explanations import Explanation
+from stringcast.data.explanations import Explanation, describe_bases
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.search.proposals import candidate_effects
 from stringcast.stages.estimate.least_squares import MISFIT_RATIO
@@ -140,6 +140,7 @@ def explain(
         is_surprising=is_surprising,
         earlier=earlier,
         rivals=rivals,
+        screened_earlier=[] if previous is None else previous.screened_bases,
     )
     search.run()
     evidence = weigh_evidence(search, previous)
@@ -151,6 +152,7 @@ def explain(
         "fitted": len(fits) - 1,
         "sentence": sentence,
         "rms_without": estimate.model_error_m,
+        "screened": describe_bases({*search.screened_earlier, *search.screenings}),
     }
     if verdict == "none":
         evidence = replace(evidence, probabilities={NO_CAUSE: 1.0})

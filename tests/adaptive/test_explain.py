@@ -10,7 +10,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from stringcast.data.artifacts import JOINTS, Observation
-from stringcast.data.explanations import Explanation
+from stringcast.data.estimates import Estimate
+from stringcast.data.explanations import Explanation, describe_bases
 from stringcast.hardware.virtual.bench import VirtualArm, VirtualBench
 from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
@@ -392,6 +393,8 @@ def test_each_cause_is_exchanged_for_all_others(search, monkeypatch):
         (1.0, [NO_CAUSE, ("gravity_direction",)], 2 / 5),
         (1.0, [NO_CAUSE], 4 / 5),
         (1.0, [("gravity_direction",), ("tip_mass",)], 0.0),
+        # both pairs with wind were compared when effects were added to wind
+        (1.0, [("wind",)], 2 / 5),
         # causes that leave more than noise may also need a third one
         (1.5, [NO_CAUSE, ("gravity_direction",)], 4 / 7),
     ],
@@ -411,6 +414,29 @@ def test_untried_sets_have_their_share_of_the_sets_next_to_the_best(
     assert searched.untried_share() == pytest.approx(expected)
     searched.earlier = [two.causes]
     assert (searched.untried_share() == 0.0) == (left_mm == 1.0 or expected == 0.0)
+
+
+@pytest.mark.parametrize(("left_mm", "expected"), [(1.0, 2 / 5), (1.5, 6 / 7)])
+def test_sets_compared_with_earlier_trials_are_tried_if_the_best_explains_all(
+    search, monkeypatch, left_mm, expected
+):
+    """Else causes that did not show before may act in the last trial."""
+    monkeypatch.setitem(RMS_MM, "gravity_direction tip_mass", left_mm)
+    searched = search.begin(ALL_FOUR)
+    two = searched.comparer.fit(find_effects(["gravity_direction", "tip_mass"]), None)
+    searched.fitted[two.causes] = two
+    searched.is_complete = False
+    searched.screened_earlier = [NO_CAUSE, ("tip_mass",)]
+    assert searched.untried_share() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("bases", [[], [NO_CAUSE], [NO_CAUSE, ("tip_mass", "wind")]])
+def test_screened_bases_are_stored(bases):
+    row = {"screened": describe_bases(bases)}
+    explanation = Explanation(
+        **dict.fromkeys(Estimate.TABLES), finding=pd.DataFrame([row])
+    )
+    assert explanation.screened_bases == bases
 
 
 def test_cause_that_was_added_first_is_dropped_if_the_others_explain_as_much(
