@@ -489,6 +489,14 @@ MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
         lambda bench: in_unit("mm")(matrix((1, 0), (0, -1))(bench)),
         "--y-down",
     ),
+    "mm, y down and absolute joint angles": (
+        lambda bench: in_unit("mm")(
+            matrix((1, 0), (0, -1))(
+                bench.with_joints(lambda joints: np.cumsum(joints, axis=1))
+            )
+        ),
+        "--absolute",
+    ),
 }
 FILE_MISTAKES: dict[str, tuple[Callable[[Bench], Bench], str]] = {
     "tracker's stamps doubled": (

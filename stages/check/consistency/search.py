@@ -158,7 +158,7 @@ def find_silent_mistake(measured: Measurements, before: Verdict) -> Answer:
 def pair_candidates(
     measured: Measurements, singles: Iterable[Correction]
 ) -> Iterator[tuple[Correction, ...]]:
-    """Yield pairs of corrections that occur in practice."""
+    """Yield pairs of corrections that occur in practice, and some triples."""
     singles = list(singles)
     units = [c for c in singles if isinstance(c, WrongUnit)]
     # with s in another unit, all points would lie at one place
@@ -168,6 +168,8 @@ def pair_candidates(
     yield from product(units, [*point_directions, *angles])
     yield from product(DIRECTIONS, angles)
     points = [c for c in units if c.parts == ("xy",)]
+    # of a tracker that states nothing, with the angles of another controller
+    yield from product(points, point_directions, angles)
     for correction in (*DIRECTIONS, *points, *angles):
         yield from base_corrections(measured, (correction,))
 
