@@ -33,6 +33,7 @@ LENGTH_SETTING = "string.length"
 WEIGHING_UNCERTAINTY = 1e-3
 # search range of a clock offset, in 95 % intervals
 CLOCK_RANGE_FACTOR = 1.5
+MAX_LAG_S = 0.05  # of an arm, by which a fitted offset may be too small
 # settings inherited from dataset.yaml
 DATASET_SETTINGS = {
     "string": ("length",),
@@ -122,16 +123,20 @@ def add_weighed_tip_mass(merged: Any, metadata: dict[str, Any]) -> None:
 
 
 def add_clock_interval(merged: Any, metadata: dict[str, Any]) -> None:
-    """Add the clock offset of dataset.yaml as an effect with an interval."""
+    """Add the clock offset of dataset.yaml as an effect with an interval.
+
+    An offset that was fitted to the motion is too small by a lag of the arm.
+    """
     clock = metadata.get("clock")
     if not clock:
         return
     middle = 0.5 * (clock["low"] + clock["high"])
     half_width = 0.5 * CLOCK_RANGE_FACTOR * (clock["high"] - clock["low"])
+    is_fitted = "added" in clock
     offset = {
         "value": middle,
         "low": middle - half_width,
-        "high": middle + half_width,
+        "high": middle + half_width + (MAX_LAG_S if is_fitted else 0.0),
     }
     add_measured_parameter(merged, "time_offset.offset", offset)
 

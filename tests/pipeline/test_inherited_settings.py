@@ -31,6 +31,15 @@ def test_clock_offset_gets_a_wider_range_than_its_interval():
     assert offset == pytest.approx({"value": 0.1, "low": -0.2, "high": 0.4})
 
 
+def test_clock_offset_fitted_to_the_motion_may_hide_a_lag_of_the_arm():
+    """The motion shows only their sum, so the offset may be larger by the lag."""
+    merged = model_settings()
+    clock = {"low": -0.1, "high": 0.3, "added": 5135.88}
+    add_clock_interval(merged, {"clock": clock})
+    offset = merged.parameter_values["time_offset.offset"]
+    assert offset == pytest.approx({"value": 0.1, "low": -0.2, "high": 0.45})
+
+
 def test_given_clock_offset_is_kept():
     merged = model_settings()
     add_clock_interval(merged, {})
