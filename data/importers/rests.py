@@ -93,9 +93,9 @@ def split_session(
     t, string_t = (np.arange(t.min(), t.max(), STEP_S) for t in times)
     hand_rests = find_rests_of_hand(motion, t)
     string_rests = find_rests_of_string(points, string_t)
-    offset_s = offset_of_motions(
-        t[begins_motion(hand_rests)], string_t[begins_motion(string_rests)]
-    )
+    hand_begins = t[begins_motion(hand_rests)]
+    string_begins = string_t[begins_motion(string_rests)]
+    offset_s = offset_of_motions(hand_begins, string_begins)
     if offset_s is None:
         return []
 
@@ -105,6 +105,8 @@ def split_session(
     string_moves = np.zeros(len(t), dtype=bool)
     string_moves[is_recorded] = ~string_rests[index[is_recorded]]
 
+    hand_steps = (motion["t"] - t[0]) / STEP_S
+    string_steps = (points["t"] + offset_s - t[0]) / STEP_S
     parts = []
     for before, after in pairwise(runs(hand_rests & ~string_moves)):
         between = slice(before.stop, after.start)
@@ -112,12 +114,10 @@ def split_session(
             continue
         begin = before.stop - kept_steps(before, HAND_LEAD_S)
         end = after.stop - kept_steps(after, HAND_LEAD_S)
-        elapsed = (motion["t"] - t[0]) / STEP_S
-        hand_part = motion[elapsed.between(begin, end)]
+        hand_part = motion[hand_steps.between(begin, end)]
         begin = before.stop - kept_steps(before, STRING_LEAD_S)
         end = after.start + kept_steps(after, STRING_LEAD_S)
-        elapsed = (points["t"] + offset_s - t[0]) / STEP_S
-        string_part = points[elapsed.between(begin, end)]
+        string_part = points[string_steps.between(begin, end)]
         parts.append((hand_part, string_part))
     return parts
 
@@ -151,12 +151,11 @@ def offset_of_motions(hand_t: np.ndarray, string_t: np.ndarray) -> float | None:
 
     hand_t, string_t: beginnings of the motions of the hand (M,) and the string (N,).
     """
-    if not len(hand_t):
-        return None
-    offsets = np.subtract.outer(hand_t, string_t).ravel()
-    distances = hand_t[:, None] - string_t - offsets[:, None, None]  # (MN, M, N)
-    is_matched = np.abs(distances).min(axis=1) < MAX_LAG_S
-    counts = is_matched.sum(axis=1)
+    # Offsets of all pairs of motions, and how many pairs begin together at each
+    offsets = np.sort(np.subtract.outer(hand_t, string_t), axis=None)
+    first = np.searchsorted(offsets, offsets - MAX_LAG_S)
+    last = np.searchsorted(offsets, offsets + MAX_LAG_S, side="right")
+    counts = last - first
     most = counts.max(initial=0)
     if most < max(2, 0.5 * len(string_t)):
         return None
@@ -182,10 +181,10 @@ def find_rests_of_hand(motion: pd.DataFrame, t: np.ndarray) -> np.ndarray:
 def find_rests_of_string(points: pd.DataFrame, t: np.ndarray) -> np.ndarray:
     """Return whether all points of the string rest or are not seen at times (N,)."""
     if "valid" in points:
-        points = points[points["valid"]]
+        points = points[points["valid"].fillna(True).astype(bool)]
     rests = np.ones(len(t), dtype=bool)
     keys = [name for name in ("point", "s") if name in points]
-    for _, rows in points.groupby(keys):
+    for _, rows in points.groupby(keys, dropna=False):
         rests &= find_rests(rows["t"], rows[["x", "y"]], t)
     return rests
 

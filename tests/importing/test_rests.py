@@ -7,6 +7,7 @@ import pytest
 from stringcast.data.importers.files import read_recordings
 from stringcast.data.importers.gather import gather_tables
 from stringcast.data.importers.reader import ColumnHints
+from stringcast.data.importers.rests import offset_of_motions
 from stringcast.data.schema import DataError
 
 CLOCK_S = 4711.0  # of the tracker behind that of the arm
@@ -133,3 +134,10 @@ def test_two_motions_do_not_show_the_offset_of_clocks(tmp_path):
     seen = near_casts(tip, CAST_S[:2])
     with pytest.raises(DataError, match="The hand was recorded in the trials t00"):
         import_session(tmp_path, record_hand(), seen)
+
+
+def test_motions_of_a_long_session_show_the_offset_of_clocks():
+    """A day of casts has too many pairs of motions to compare all with all."""
+    hand_t = np.cumsum(np.random.default_rng(0).uniform(3.0, 9.0, 1500))
+    string_t = hand_t[::2] + LAG_S - CLOCK_S
+    assert offset_of_motions(hand_t, string_t) == pytest.approx(CLOCK_S - LAG_S)
