@@ -310,11 +310,14 @@ class Points:
     @property
     def valid_points(self) -> pd.DataFrame:
         """The valid points; all of them if the table does not state it."""
-        return _valid_rows(self.points)
+        return valid_rows(self.points)
 
 
-def _valid_rows(points: pd.DataFrame) -> pd.DataFrame:
-    return points[points["valid"].astype(bool)] if "valid" in points else points
+def valid_rows(points: pd.DataFrame) -> pd.DataFrame:
+    """Select the valid points, and those of which the table does not state it."""
+    if "valid" not in points:
+        return points
+    return points[points["valid"].fillna(True).astype(bool)]
 
 
 # --- observation
@@ -361,7 +364,7 @@ class Observation:
     @property
     def valid_points(self) -> pd.DataFrame:
         """The valid points; all of them if the table does not state it."""
-        return _valid_rows(self.points)
+        return valid_rows(self.points)
 
 
 @dataclass(frozen=True)

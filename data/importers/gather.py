@@ -139,15 +139,14 @@ def gather_tables(
     film_of = {names[r]: r.film for r in films if r.film is not None}
     used_columns, unused_columns = _list_used_columns(parts)
     points = _match_leading_zeros(points, motion)
-    if len(points) and not film_of:
-        motion, points = join_session(motion, points)
-    point_trials = points["trial"].unique() if len(points) else ()
-    _require_common_trial(motion, [*film_of, *point_trials])
     notes = list(chain.from_iterable(recording.notes for recording in recordings))
     if len(points) and not film_of:
+        motion, points = join_session(motion, points)
         motion, points, pauses = split_at_pauses(motion, points)
         motion, points, rests = split_at_rests(motion, points)
         notes += [*pauses, *rests]
+    point_trials = points["trial"].unique() if len(points) else ()
+    _require_common_trial(motion, [*film_of, *point_trials])
     return ImportedTables(
         motion=motion,
         points=points,

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
+from stringcast.data.artifacts import valid_rows
 from stringcast.data.importers.pauses import part_name
 
 STEP_S = 0.02  # of the times at which rests are found
@@ -34,13 +35,14 @@ def join_session(
     They have other names, follow one another, and are found again by the rests.
     """
     names, point_names = set(motion["trial"]), set(points["trial"])
-    joined = motion, points
     if names & point_names:
-        return joined
+        return motion, points
     if len(names) == 1 and follow_one_another(points):
         joined = motion, points.assign(trial=names.pop())
     elif len(point_names) == 1 and follow_one_another(motion):
         joined = motion.assign(trial=point_names.pop()), points
+    else:
+        return motion, points
     return joined if len(split_session(*joined)) > 1 else (motion, points)
 
 
@@ -180,8 +182,7 @@ def find_rests_of_hand(motion: pd.DataFrame, t: np.ndarray) -> np.ndarray:
 
 def find_rests_of_string(points: pd.DataFrame, t: np.ndarray) -> np.ndarray:
     """Return whether all points of the string rest or are not seen at times (N,)."""
-    if "valid" in points:
-        points = points[points["valid"].fillna(True).astype(bool)]
+    points = valid_rows(points)
     rests = np.ones(len(t), dtype=bool)
     keys = [name for name in ("point", "s") if name in points]
     for _, rows in points.groupby(keys, dropna=False):

@@ -40,7 +40,7 @@ def estimate_offset(checked: CheckedDataset) -> ClockOffset:
     rng = np.random.default_rng(SEED)
     with progress_bar("clocks") as progress:
         clock = estimate_clock_offset(model, observations, rng, progress)
-    if clock.has_wrong_rate:
+    if clock.wrong_rate is not None:
         raise wrong_clock_error(clock, f"{checked.points_file} t")
     return clock
 

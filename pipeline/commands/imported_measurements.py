@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
+from stringcast.data.artifacts import valid_rows
 from stringcast.data.importers.gather import ImportedTables
 from stringcast.data.schema import DataError
 from stringcast.stages.check.consistency.dataset import tracks_along_string
@@ -66,9 +67,7 @@ def measurements_of_tables(
     grasp = imported_grasp_poses(tables, bench)  # refuses missing links
     if tables.points.empty:
         return None
-    points = tables.points
-    if "valid" in points:
-        points = points[points["valid"].fillna(True).astype(bool)]
+    points = valid_rows(tables.points)
     points = points[np.isfinite(points[["t", "x", "y"]]).all(axis=1)]
     motion = tables.motion if tables.joints else grasp
     columns = tables.joints or ["x", "y", "theta"]

@@ -102,10 +102,12 @@ class ClockOffset:
     profile: pd.DataFrame
 
     @property
-    def has_wrong_rate(self) -> bool:
-        """Whether the drift is beyond the range that a diagnosis searches."""
+    def wrong_rate(self) -> Interval | None:
+        """The drift if it is beyond the range that a diagnosis searches."""
         (rate,) = ClockDrift.parameters
-        return self.drift is not None and not rate.low < self.drift.value < rate.high
+        if self.drift is None or rate.low < self.drift.value < rate.high:
+            return None
+        return self.drift
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class FittedOffset:
         misfit at the tip. The fit for this comparison takes seconds. A drift has
         already passed such a comparison.
         """
-        if self.clock.has_wrong_rate:
+        if self.clock.wrong_rate is not None:
             return True
         # all trials have the interval of the first if one fit is for all
         intervals = self.clock.by_trial.values()
@@ -400,9 +402,9 @@ def refuse_wrong_clock(
 
 def wrong_clock_error(clock: ClockOffset, place: str) -> DataError:
     """Describe clocks that certainly differ, and what to do."""
-    if clock.drift is not None and clock.has_wrong_rate:
-        ratio = 1 / (1 + clock.drift.value)
-        fault = f"{describe_drift(clock.drift)}: its frame rate is wrong"
+    if clock.wrong_rate is not None:
+        ratio = 1 / (1 + clock.wrong_rate.value)
+        fault = f"{describe_drift(clock.wrong_rate)}: its frame rate is wrong"
         remedy = f"Give {ratio:.3f} times the rate with --fps, or divide t by that"
         return DataError(place, fault, remedy)
     name, worst = max(clock.by_trial.items(), key=lambda item: abs(item[1].value))

@@ -100,10 +100,9 @@ def compare_with_noise(
         own_residual = first_frames_residual(likelihood, chi, counts[-1])
         with_causes = max(with_causes, own_residual)
     misfit = estimates[-1].residual_ratio ** 2 - NOISE_RATIO**2
-    fraction = mean_square_over_trials(errors) / max(
-        misfit, float(np.finfo(float).tiny)
-    )
-    return NoiseRatios(residuals[0], with_causes, fraction)
+    misfit = max(misfit, float(np.finfo(float).tiny))
+    mesh_fraction = mean_square_over_trials(errors) / misfit
+    return NoiseRatios(residuals[0], with_causes, mesh_fraction)
 
 
 def remaining_mesh_errors(
