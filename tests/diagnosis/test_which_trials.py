@@ -157,7 +157,14 @@ def test_a_trial_that_is_chaotic_with_causes_is_used_again_once(returns, monkeyp
     assert [*used.left_out] == ["t2"]
 
 
-def test_a_search_is_repeated_on_a_fine_mesh_if_trials_are_chaotic(monkeypatch):
+@pytest.mark.parametrize(
+    "coarse_error_mm",
+    [(0.0, 0.0, 9.0), (0.0, 9.0, 9.0)],
+    ids=["one trial", "so many trials that none can be left out"],
+)
+def test_a_search_is_repeated_on_a_fine_mesh_if_causes_need_it(
+    coarse_error_mm, monkeypatch
+):
     """The mesh was chosen for the base model, whose string may differ."""
 
     def prepare(
@@ -165,8 +172,8 @@ def test_a_search_is_repeated_on_a_fine_mesh_if_trials_are_chaotic(monkeypatch):
     ):
         could_coarsen.append(may_coarsen)
         trials = [SimpleNamespace(name=o.trial) for o in observations]
-        third_m = 9e-3 if may_coarsen else 1e-4
-        return prepared_trials(trials, [0.0, 0.0, third_m])
+        error_m = np.array(coarse_error_mm) / 1e3 if may_coarsen else np.full(3, 1e-4)
+        return prepared_trials(trials, error_m)
 
     def select(state, *given):
         begun_with.append(state.fit.hypothesis.causes)

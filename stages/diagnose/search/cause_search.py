@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stringcast.data.artifacts import Observation
+from stringcast.stages.common import MM_PER_M
 from stringcast.stages.diagnose.rules import Criteria
 from stringcast.stages.diagnose.search.forward_selection import select_causes
 from stringcast.stages.diagnose.search.proposals import candidate_effects
@@ -117,8 +118,8 @@ def search_until_trials_settle(
     - A chaotic trial is used again if simulation with the causes resolves it, and the
       search continues from these causes. If the fit to all trials does not resolve it,
       it is left out for good.
-    - If trials are chaotic with the causes on a coarse mesh, the search is repeated on
-      a fine one.
+    - If the error of a coarse mesh is too uncertain with the causes, the search is
+      repeated on a fine one.
     - If the causes leave a parameter of the string at the end of its range, the search
       is repeated in a wider range.
     - A trial that is chaotic with the causes on a fine mesh is left out, and the
@@ -177,7 +178,7 @@ def _search_after_new_cause(
 
     # Other meshes or ranges require all fits to be repeated, so they are chosen first
     chaotic = _trials_chaotic_with_causes(state, criteria)
-    settings = _settings_with_causes(state, search.settings, chaotic)
+    settings = _settings_with_causes(state, search.settings)
     if settings is not search.settings:
         search = replace(search, settings=settings)
         return search, search.begin()
@@ -273,17 +274,20 @@ def _trials_for_another_search(
 
 
 def _settings_with_causes(
-    state: SelectionState, settings: DiagnosisSettings, chaotic: Sequence[str]
+    state: SelectionState, settings: DiagnosisSettings
 ) -> DiagnosisSettings:
-    """Refine a mesh on which trials are chaotic, or widen a range that is too narrow.
+    """Refine a mesh that is too coarse with causes, or widen a range for them.
 
     Either may have led to wrong causes. Returns the same settings if neither applies.
     """
-    if chaotic and settings.mesh_may_be_coarser and _mesh_is_coarse(state):
-        log.info("chaotic on a coarse mesh: %s", ", ".join(chaotic))
-        return replace(settings, mesh_may_be_coarser=False)
     if not state.fit.hypothesis.causes:
         return settings
+    uncertainty_m = state.prepared.discretisation_uncertainty_m
+    is_resolved = np.all(uncertainty_m < settings.criteria.tip_tolerance_m)
+    if not is_resolved and settings.mesh_may_be_coarser and _mesh_is_coarse(state):
+        error_mm = np.round(MM_PER_M * uncertainty_m, 1)
+        log.info("too coarse with the causes: uncertain by %s mm", error_mm)
+        return replace(settings, mesh_may_be_coarser=False)
     data = state.prepared.data
     wider = widen_ranges_with_causes(data, state.fit, settings.criteria)
     if wider is None:
