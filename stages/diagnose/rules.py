@@ -28,7 +28,7 @@ An **accepted cause** stays while later causes are added:
 `is_inside_range`          none of its amplitudes is at an end of its range or below
                            its least meaningful size
 `trials_agree`             if misfit remains, its probability from the scatter of
-                           leave-one-out fits is above one half
+                           leave-one-out fits is above one half (three trials or more)
 =========================  =========================================================
 
 The **verdict** names the accepted causes only if all of these pass:

@@ -22,6 +22,7 @@ References
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -37,6 +38,8 @@ from stringcast.stages.inference.laplace import Fit
 from stringcast.stages.inference.solver import residual_changes
 from stringcast.stages.inference.trial_data import TrialData
 from stringcast.stages.model.effect import Effect
+
+log = logging.getLogger(__name__)
 
 SMALLEST_ERROR = 1e-6  # of the estimate, in case it does not change at all
 
@@ -119,4 +122,6 @@ def probability_by_agreement(
             left_out = state.left_out_exponents
         log_bayes_factor = log_bayes_factor_of_trials(data, fit, left_out, cause)
     log_evidence = {"": np.zeros(1), "cause": np.array([log_bayes_factor])}
-    return effect_probabilities(log_evidence, candidates)["cause"]
+    probability = effect_probabilities(log_evidence, candidates)["cause"]
+    log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
+    return probability

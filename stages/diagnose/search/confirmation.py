@@ -39,7 +39,7 @@ from stringcast.stages.model.effect import Effect
 log = logging.getLogger(__name__)
 
 AT_RANGE_END = "it is at the end of its range, probably a stand-in for another cause"
-TOO_FEW_TRIALS = "two trials are too few to confirm it, and misfit remains"
+MIN_DISAGREEING_TRIALS = 3  # the scatter of two estimates has one degree of freedom
 
 
 def drop_unconfirmed_causes(
@@ -49,8 +49,7 @@ def drop_unconfirmed_causes(
 ) -> SelectionState:
     """Set aside causes that left-out trials do not confirm, the last one first.
 
-    If they confirm a rival, it replaces the cause. Causes that two trials are too few
-    to confirm stay in the fit: without them, other causes would compensate.
+    If they confirm a rival, it replaces the cause.
 
     candidates: number of effects that share the prior probability of one being active.
     """
@@ -61,11 +60,8 @@ def drop_unconfirmed_causes(
         if not reason:
             continue
         log.info("%s is set aside: %s", cause.name, reason)
-        if reason == TOO_FEW_TRIALS:
-            state = replace(state, unnamed=(*state.unnamed, cause))
-        else:
-            rival = _find_confirmed_rival(state, without, cause, criteria, candidates)
-            state = rival or with_fit(state, without.fit)
+        rival = _find_confirmed_rival(state, without, cause, criteria, candidates)
+        state = rival or with_fit(state, without.fit)
         state = replace(state, set_aside={**state.set_aside, cause.name: reason})
     if state.unnamed and not state.nameable_causes:
         base = Hypothesis(state.fit.hypothesis.base)
@@ -165,22 +161,25 @@ def _reason_to_set_aside(
         return "it does not help to predict trials left out"
     if unexplained_tip_rms(data, fit).max() < criteria.tip_tolerance_m:
         return ""  # no misfit remains, so the evidence is reliable
+    if acts_alone:
+        return "it acts in one trial, which no other confirms, and misfit remains"
+    disagree = _trials_disagree(state, cause, criteria, candidates)
+    return "the trials do not agree on it" if disagree else ""
+
+
+def _trials_disagree(
+    state: SelectionState,
+    cause: type[Effect],
+    criteria: Criteria,
+    candidates: int,
+) -> bool:
+    """Return whether three trials or more do not agree on a cause."""
+    if len(state.prepared.data.trials) < MIN_DISAGREEING_TRIALS:
+        return False
     probability = probability_by_agreement(
         state, cause, candidates, criteria.tip_tolerance_m
     )
-    log.info("%s: probability by agreement of trials %.2f", cause.name, probability)
-    if trials_agree(probability):
-        return ""
-    return _reason_for_no_agreement(len(data.trials), acts_alone)
-
-
-def _reason_for_no_agreement(trials: int, acts_alone: bool) -> str:
-    """Return the reason why trials do not confirm a cause."""
-    if acts_alone:
-        return "it acts in one trial, which no other confirms, and misfit remains"
-    if trials == 2:
-        return TOO_FEW_TRIALS
-    return "the trials do not agree on it"
+    return not trials_agree(probability)
 
 
 def _predicts_trials(

@@ -56,8 +56,8 @@ class SelectionState:
     set_aside : dict
         Causes that were accepted and then dropped, with the reason.
     unnamed : tuple of type of Effect
-        Causes in the fit that move the tip too little to be named, or that two trials
-        are too few to confirm. They stay, because the values of others depend on them.
+        Causes in the fit that move the tip too little to be named. They stay, because
+        the values of others depend on them.
     replaced : tuple of type of Effect
         Causes that were replaced by a rival because trials confirm only the rival.
     """
