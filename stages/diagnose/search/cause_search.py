@@ -118,8 +118,8 @@ def search_until_trials_settle(
     - A chaotic trial is used again if simulation with the causes resolves it, and the
       search continues from these causes. If the fit to all trials does not resolve it,
       it is left out for good.
-    - If the error of a coarse mesh is too uncertain with the causes, the search is
-      repeated on a fine one.
+    - If the error of a coarse mesh is too uncertain with the causes, the search
+      continues from them on a fine one.
     - If the causes leave a parameter of the string at the end of its range, the search
       is repeated in a wider range.
     - A trial that is chaotic with the causes on a fine mesh is left out, and the
@@ -176,9 +176,12 @@ def _search_after_new_cause(
     names = (*search.resolved_with_causes, *resolved)
     search = replace(search, resolved_with_causes=names)
 
-    # Other meshes or ranges require all fits to be repeated, so they are chosen first
-    chaotic = _trials_chaotic_with_causes(state, criteria)
-    settings = _settings_with_causes(state, search.settings)
+    # Another mesh or range requires all fits to be repeated, so it is chosen first
+    if _needs_finer_mesh(state, search.settings):
+        settings = replace(search.settings, mesh_may_be_coarser=False)
+        search = replace(search, settings=settings)
+        return search, search.begin(state)
+    settings = _with_wider_ranges(state, search.settings)
     if settings is not search.settings:
         search = replace(search, settings=settings)
         return search, search.begin()
@@ -191,6 +194,7 @@ def _search_after_new_cause(
         log.info("chaotic again, left out for good: %s", ", ".join(resolved))
         search = replace(search, trials=search.trials.excluding_chaotic(resolved))
 
+    chaotic = _trials_chaotic_with_causes(state, criteria)
     if chaotic:
         return _search_without_chaotic_trials(search, reached, chaotic)
     return search, _search_on_configured_mesh(search.settings, reached)
@@ -273,27 +277,17 @@ def _trials_for_another_search(
     return trials.including_predicted(predicted)
 
 
-def _settings_with_causes(
-    state: SelectionState, settings: DiagnosisSettings
-) -> DiagnosisSettings:
-    """Refine a mesh that is too coarse with causes, or widen a range for them.
-
-    Either may have led to wrong causes. Returns the same settings if neither applies.
-    """
-    if not state.fit.hypothesis.causes:
-        return settings
+def _needs_finer_mesh(state: SelectionState, settings: DiagnosisSettings) -> bool:
+    """Return whether the error of a coarse mesh is too uncertain with the causes."""
+    if not state.fit.hypothesis.causes or not settings.mesh_may_be_coarser:
+        return False
     uncertainty_m = state.prepared.discretisation_uncertainty_m
     is_resolved = np.all(uncertainty_m < settings.criteria.tip_tolerance_m)
-    if not is_resolved and settings.mesh_may_be_coarser and _mesh_is_coarse(state):
-        error_mm = np.round(MM_PER_M * uncertainty_m, 1)
-        log.info("too coarse with the causes: uncertain by %s mm", error_mm)
-        return replace(settings, mesh_may_be_coarser=False)
-    data = state.prepared.data
-    wider = widen_ranges_with_causes(data, state.fit, settings.criteria)
-    if wider is None:
-        return settings
-    model = settings.model.with_ranges(*wider.string.ranges.values())
-    return replace(settings, model=model)
+    if is_resolved or not _mesh_is_coarse(state):
+        return False
+    uncertainty_mm = np.round(MM_PER_M * uncertainty_m, 1)
+    log.info("tips are uncertain by %s mm on the coarse mesh", uncertainty_mm)
+    return True
 
 
 def _mesh_is_coarse(state: SelectionState) -> bool:
@@ -301,6 +295,23 @@ def _mesh_is_coarse(state: SelectionState) -> bool:
         return False
     string = state.prepared.base_fit.hypothesis.model.string
     return string.points - 1 < SEGMENTS or string.largest_step > STEP_S
+
+
+def _with_wider_ranges(
+    state: SelectionState, settings: DiagnosisSettings
+) -> DiagnosisSettings:
+    """Widen a range that is too narrow with the causes: it may have led to wrong ones.
+
+    Returns the same settings if none is.
+    """
+    if not state.fit.hypothesis.causes:
+        return settings
+    data = state.prepared.data
+    wider = widen_ranges_with_causes(data, state.fit, settings.criteria)
+    if wider is None:
+        return settings
+    model = settings.model.with_ranges(*wider.string.ranges.values())
+    return replace(settings, model=model)
 
 
 def _trials_chaotic_with_causes(state: SelectionState, criteria: Criteria) -> list[str]:
