@@ -41,6 +41,7 @@ from stringcast.stages.inference.covariance import (
 from stringcast.stages.inference.likelihood import Likelihood
 from stringcast.stages.inference.mesh import discretisation_error
 from stringcast.stages.inference.mesh_limit import (
+    MISFIT_RATIO,
     loss_at_noise,
     refine_at_mesh_limit,
     subtract_uncertain_error,
@@ -55,7 +56,6 @@ from stringcast.stages.model.model import Model
 from stringcast.stages.spec import declare_string_counts
 
 UNDETERMINED_WIDTH = 0.3  # width in chi from which an interval determines nothing
-MISFIT_RATIO = 1.5  # residual over sigma from which the residual is not noise alone
 STRINGS_PER_ITERATION = 10  # for slopes by the parameters, and for the step
 
 

@@ -18,7 +18,6 @@ from stringcast.data.estimates import Estimate
 from stringcast.data.explanations import Explanation, describe_bases
 from stringcast.stages.common import Progress
 from stringcast.stages.diagnose.search.proposals import candidate_effects
-from stringcast.stages.estimate.least_squares import MISFIT_RATIO
 from stringcast.stages.estimate.least_squares import estimate as fit_from_nothing
 from stringcast.stages.estimate.matching import Matching
 from stringcast.stages.explain.averaging import (
@@ -44,6 +43,7 @@ from stringcast.stages.explain.decision import (
 )
 from stringcast.stages.explain.noise_ratios import compare_with_noise
 from stringcast.stages.inference.likelihood import time_blocks
+from stringcast.stages.inference.mesh_limit import MISFIT_RATIO
 from stringcast.stages.inference.prepared_trial import prepare_trial
 from stringcast.stages.model.library import effects_by_name, find_effects
 from stringcast.stages.model.model import Model

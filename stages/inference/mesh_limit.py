@@ -44,6 +44,7 @@ CORRECTION_ITERATIONS = 3  # for the parameters, between two corrections
 # Number of corrections over which the change of the error must fall. Over one or two it
 # may grow even if it settles later
 COMPARED_CORRECTIONS = 3
+MISFIT_RATIO = 1.5  # residual over sigma from which the residual is not noise alone
 # Sum of squares of whitened residuals: a smaller change of the error moves no parameter
 # by more than a standard error
 SETTLED_CHANGE = 1.0
@@ -55,7 +56,9 @@ def refine_at_mesh_limit(
     """Refine a solution (P,) as if the string had been fitted on a far finer mesh.
 
     The given solution is kept if the corrected one misfits more: no mesh resolves a
-    string that whips, and the data may come from a chain of mass points.
+    string that whips, and the data may come from a chain of mass points. It is not kept
+    if it leaves more than noise and the corrections settle: the mesh resolves the
+    string, whose model is incomplete, and its error only happens to hide misfit.
 
     start: exponents (P,) from which the correction begins, if not from the solution.
 
@@ -93,7 +96,11 @@ def refine_at_mesh_limit(
         plain = with_refined_initial_states(plain, best)
 
     scales = likelihood.noise_scales
-    if loss_at_noise(corrected, best, scales) < loss_at_noise(likelihood, chi, scales):
+    loss = loss_at_noise(likelihood, chi, scales)
+    is_better = loss_at_noise(corrected, best, scales) < loss
+    is_settled = changes[-1] < SETTLED_CHANGE
+    leaves_misfit = max(scales) > MISFIT_RATIO
+    if is_better or (is_settled and leaves_misfit):
         return corrected, best
     return likelihood, chi
 
