@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stringcast.stages.explain.budget import Budget
-from stringcast.stages.explain.comparer import Comparer
+from stringcast.stages.explain.comparer import SCREENING_ACCURACY, Comparer
 from stringcast.stages.explain.comparison import (
     NO_CAUSE,
     NOISE_RATIO,
@@ -296,6 +296,8 @@ class CauseSearch:
                 comparison = comparer.screen(effect)
                 finalists.append(Finalist((effect,), comparer, comparison))
 
+            finalists = settle_leaders(finalists)
+
         finalists.sort(key=lambda each: -each.comparison.log_evidence)
         quick = [f.comparison.log_evidence for f in finalists if not f.is_slow]
         for number, finalist in enumerate(finalists):
@@ -508,6 +510,26 @@ class CauseSearch:
                 (estimate, comparison.estimate),
             )
         return self._noise_ratios[causes]
+
+
+def settle_leaders(finalists: Sequence[Finalist]) -> list[Finalist]:
+    """Settle the screenings that may lead, the most evident first.
+
+    One may lead if it is behind by no more than the largest gain of another. Without
+    this, effects that are absent were added to the right one, and all gained as much as
+    it alone would have gained.
+    """
+    settled: list[Finalist] = []
+    largest_gain = SCREENING_ACCURACY
+    for finalist in sorted(finalists, key=lambda each: -each.comparison.log_evidence):
+        comparison = finalist.comparison
+        evidence = comparison.log_evidence
+        best = max((each.comparison.log_evidence for each in settled), default=evidence)
+        if evidence + largest_gain >= best:
+            comparison = finalist.comparer.settle(finalist.effects, comparison)
+            largest_gain = max(largest_gain, comparison.log_evidence - evidence)
+        settled.append(replace(finalist, comparison=comparison))
+    return settled
 
 
 def parts_of(causes: Causes) -> list[Causes]:

@@ -17,9 +17,14 @@ from stringcast.pipeline.run.experiment import prepare_experiment
 from stringcast.pipeline.settings.composition import compose_settings
 from stringcast.stages.common import rms
 from stringcast.stages.execute.execute import pad_commands
-from stringcast.stages.explain import noise_ratios
+from stringcast.stages.explain import comparer, noise_ratios
 from stringcast.stages.explain.budget import Budget
-from stringcast.stages.explain.cause_search import CauseSearch, Finalist, Screening
+from stringcast.stages.explain.cause_search import (
+    CauseSearch,
+    Finalist,
+    Screening,
+    settle_leaders,
+)
 from stringcast.stages.explain.comparer import SCREENING_ACCURACY, Comparer
 from stringcast.stages.explain.comparison import NO_CAUSE, Comparison
 from stringcast.stages.explain.decision import (
@@ -314,6 +319,7 @@ def search(monkeypatch):
         Comparer, "with_base", lambda self, base: replace(self, base=base)
     )
     monkeypatch.setattr(Comparer, "screen", screen)
+    monkeypatch.setattr(Comparer, "settle", lambda self, effects, screened: screened)
     monkeypatch.setattr(
         Comparer,
         "screen_base",
@@ -1143,6 +1149,42 @@ def test_screening_that_ends_behind_the_base_begins_again_at_it(
     penalty = 0.5 * np.log(compare.blocks)
     expected = compare.base.log_evidence - penalty
     assert compared.log_evidence >= expected - SCREENING_ACCURACY
+
+
+def test_a_screening_far_from_its_optimum_is_continued_until_it_settles(
+    arm, camera, observe, monkeypatch
+):
+    """A wind gained 60 of log evidence by this; effects added to it had gained it."""
+    model = Model(implicit_string(20, 1e-3), arm, camera)
+    compare = comparer_of(model, observe({"wind": {"along_x": 0.8, "along_y": 0.0}}))
+    (wind,) = find_effects(["wind"])
+    best = compare.screen(wind)
+    absent = replace(best, screened=compare.base.exponents, log_evidence=0.0)
+    monkeypatch.setattr(comparer, "SCREENING_ITERATIONS", 1)
+    monkeypatch.setattr(comparer, "MAX_CONTINUATIONS", 1)
+    once = compare.settle((wind,), absent)
+    monkeypatch.undo()
+    settled = compare.settle((wind,), absent)
+    assert once.log_evidence < best.log_evidence - SCREENING_ACCURACY
+    assert settled.log_evidence == pytest.approx(best.log_evidence, abs=0.1)
+
+
+def test_screenings_are_continued_if_they_may_lead():
+    """The second gains 11 and leads. The third would not, if it gained as much."""
+    evidences = {"wind": (30.0, 31.0), "tip_mass": (29.5, 40.5), "clamp": (20.0, 60.0)}
+
+    def settle(effects, screened):
+        return screened.with_gain(
+            evidences[effects[0].name][1] - screened.log_evidence, 9
+        )
+
+    stand_in = SimpleNamespace(settle=settle)
+    finalists = []
+    for name, (screened, _) in evidences.items():
+        comparison = Comparison((name,), screened, 1.0)
+        finalists.append(Finalist(find_effects([name]), stand_in, comparison))
+    settled = settle_leaders(finalists)
+    assert [each.comparison.log_evidence for each in settled] == [31.0, 40.5, 20.0]
 
 
 def test_part_of_causes_is_compared_without_the_others(arm, camera, observe):
