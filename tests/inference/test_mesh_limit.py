@@ -107,7 +107,7 @@ def test_a_correction_from_an_earlier_estimate_leaves_a_wrong_solution():
 
 
 def test_an_error_of_the_mesh_does_not_hide_that_the_model_is_incomplete():
-    """A look at string C with a joint gain of -0.03 was not asked for its cause.
+    """A look at string C with a joint gain of -0.03 was not searched for a cause.
 
     The error of the mesh reduced the misfit, so that it was not subtracted.
     """
